@@ -1,0 +1,191 @@
+"""The two-robot cell: MuJoCo physics, Robot_Heart's programme, Robot_Tool's inner loop, sensors."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from plant.arm_model import build_arm_model, home_configuration
+from plant.config import CellConfig
+from plant.errors import PlantError
+from plant.inner_loop import InnerLoop
+from plant.interface import Measurement, Truth
+from plant.mjcf import cell_mjcf
+from plant.playback import Programme, programme
+from plant.sensors import SENSORS, ForceSensor
+from plant.viper import HEART, TOOL, VIPER_S650, FloatArray
+
+_AXES = ("x", "y", "z")
+_TOOL_CTRL = slice(6, 12)
+_CONTACT = slice(12, 15)
+
+
+class Cell:
+    """A `plant.interface.Plant`: the tool presses on the heart, the heart moves.
+
+    Made in equilibrium: the tool at rest with the given force at the first sample of the motion.
+    One `measure` and one `apply` make a cycle. With the brakes closed the tool stays where it is,
+    whatever is commanded: the paper's run without compensation.
+    """
+
+    def __init__(
+        self,
+        config: CellConfig,
+        displacement: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        *,
+        force: FloatArray,
+        seed: int,
+        axes: Sequence[Literal["x", "y", "z"]] = _AXES,
+        heart: Programme | None = None,
+    ) -> None:
+        """Build both arms and put them into contact.
+
+        Args:
+            config: see there.
+            displacement, velocity, acceleration: motion of the tissue from home at the control
+                instants, ``(n, 3)`` each [m, m/s, m/s^2].
+            force: contact force to start with, ``(3,)`` [N].
+            seed: of the sensor noise.
+            axes: which axes follow the command; the tool holds its position on the others.
+            heart: the programme of `heart_programme` for this motion, where it is at hand.
+
+        Raises:
+            UnreachableMotionError: Robot_Heart cannot play the motion.
+        """
+        self.period = config.period
+        self.cycles = displacement.shape[0]
+        """How many cycles the motion lasts."""
+        self._heart = heart or heart_programme(config, displacement, velocity, acceleration)
+        self._substeps = config.substeps
+        flaws = config.imperfections
+        self.model = mujoco.MjModel.from_xml_string(
+            cell_mjcf(
+                VIPER_S650,
+                HEART,
+                TOOL,
+                timestep=config.period / config.substeps,
+                stiffness=config.contact.stiffness,
+                damping=config.contact.damping,
+                friction=flaws.friction,
+                torque_lag=flaws.torque_lag,
+            )
+        )
+        self.data = mujoco.MjData(self.model)
+        share = flaws.friction * flaws.friction_compensation
+        self._inner = InnerLoop(
+            build_arm_model(VIPER_S650, TOOL, flaws.inertia_error),
+            config.tool,
+            coulomb=share * VIPER_S650.coulomb_friction.si,
+            viscous=share * VIPER_S650.viscous_friction.si,
+            lead=(flaws.delay + 0.5) * config.period + flaws.torque_lag,
+            force_axes=np.isin(_AXES, axes),
+        )
+        self._sensor = ForceSensor(SENSORS[config.sensor.model], np.random.SeedSequence([seed, 1]))
+        self._limit = VIPER_S650.torque_limit.si
+        self._spring = config.contact
+        self._tip = self.data.site("tool_tip").xpos
+        self._surface = self.data.site("heart_surface").xpos
+        self._surface_rotation = self.data.site("heart_surface").xmat.reshape(3, 3)
+        self._cycle = 0
+        self._force, self._read = np.zeros(3), np.zeros(3)
+        self._torque, self._saturated = np.zeros(6), False
+        self._place(displacement[0] + np.asarray(force) / config.contact.stiffness)
+        self._line = deque([self._torque] * flaws.delay)
+
+    def close_brakes(self) -> None:
+        """Lock the tool's joints where they are."""
+        self.model.eq_data[:6, 0] = self.data.qpos[6:12]
+        self.data.eq_active[:6] = True
+
+    def move_tool(self, displacement: FloatArray) -> None:
+        """Put the tool elsewhere, at rest: its tip ``displacement (3,)`` [m] from home."""
+        self._place(np.asarray(displacement))
+
+    def measure(self) -> Measurement:
+        """Read force sensor and encoders; the physics has been brought up to this instant."""
+        inner, data = self._inner, self.data
+        inner.observe(data.qpos[6:12], data.qvel[6:12])
+        along = self._spring.stiffness * data.actuator_length[_CONTACT]
+        along += self._spring.damping * data.actuator_velocity[_CONTACT]
+        np.dot(self._surface_rotation, along, out=self._force)
+        self._read = self._sensor.read(self._force)
+        return Measurement(
+            self._cycle * self.period, self._read, inner.position.copy(), inner.velocity.copy()
+        )
+
+    def apply(self, command: FloatArray) -> None:
+        """Run the inner loop once on the last measurement, then the physics for one period.
+
+        Raises:
+            PlantError: the motion has ended, or the command is not finite.
+        """
+        if self._cycle >= self.cycles:
+            raise PlantError(f"the motion ended after {self.cycles} cycles")
+        if not np.isfinite(command).all():
+            raise PlantError(f"command {command} at t = {self._cycle * self.period:.3f} s")
+        wanted = self._inner.torque(command, self._read)
+        torque = np.minimum(np.maximum(wanted, -self._limit), self._limit)
+        self._saturated = bool((torque != wanted).any())
+        self._torque = torque
+        self._line.append(torque)
+        ctrl = self.data.ctrl
+        ctrl[:6] = self._heart.ctrl[self._cycle]
+        ctrl[_TOOL_CTRL] = self._line.popleft()
+        mujoco.mj_step2(self.model, self.data)
+        if self._substeps > 1:
+            mujoco.mj_step(self.model, self.data, nstep=self._substeps - 1)
+        # Positions and velocities of the new instant; a reading after mj_step is a substep old.
+        mujoco.mj_step1(self.model, self.data)
+        self._cycle += 1
+
+    def truth(self) -> Truth:
+        """Return what is really there; torque and saturation are those of the last `apply`."""
+        return Truth(self._force.copy(), self._surface.copy(), self._torque, self._saturated)
+
+    def _place(self, displacement: FloatArray) -> None:
+        """Set both arms to the start of the motion and the tool at rest at ``displacement``."""
+        model, data = self.model, self.data
+        mujoco.mj_resetData(model, data)
+        still = np.zeros((1, 3))
+        tool = programme(
+            VIPER_S650,
+            build_arm_model(VIPER_S650, TOOL),
+            home_configuration(VIPER_S650, TOOL),
+            displacement[None],
+            still,
+            still,
+            self.period,
+            friction=0.0,
+        )
+        data.qpos[:6], data.qvel[:6] = self._heart.q[0], self._heart.qdot[0]
+        data.qpos[6:12] = tool.q[0]
+        data.ctrl[:6] = self._heart.ctrl[0]
+        mujoco.mj_step1(model, data)
+        self.measure()
+        self._inner.hold()
+        # Torques that really hold the tool; the inner loop's own model may be wrong.
+        self._torque = data.qfrc_bias[6:12] + self._inner.J[:3].T @ self._force
+        data.ctrl[_TOOL_CTRL] = self._torque
+        if model.na:
+            data.act[:] = self._torque
+
+
+def heart_programme(
+    config: CellConfig, displacement: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> Programme:
+    """Return Robot_Heart's programme for a motion, see `plant.playback.programme`."""
+    friction = config.imperfections.friction
+    return programme(
+        VIPER_S650,
+        build_arm_model(VIPER_S650, HEART),
+        home_configuration(VIPER_S650, HEART),
+        displacement,
+        velocity,
+        acceleration,
+        config.period,
+        friction=friction,
+    )

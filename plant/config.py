@@ -1,0 +1,74 @@
+"""What can be set on the robot cell: frozen records, SI units, defaults of the realistic cell."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le, Lt
+
+SensorModel = Literal["ideal", "nano17", "mini45"]
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """Spring (and optional Kelvin-Voigt damper) between instrument and tissue, per axis."""
+
+    stiffness: Annotated[float, Gt(0)] = 2500.0
+    """True stiffness of the tissue, the same on every axis [N/m]."""
+    damping: Annotated[float, Ge(0)] = 0.0
+    """Damping in parallel to the spring [N s/m]."""
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """Force sensor in the instrument."""
+
+    model: SensorModel = "nano17"
+    """``ideal`` (no noise, no quantisation), ``nano17`` or ``mini45`` (ATI)."""
+
+
+@dataclass(frozen=True)
+class ToolConfig:
+    """Inner loop of Robot_Tool: computed torque to a unit mass, velocity damping, orientation."""
+
+    velocity_damping: Annotated[float, Ge(0)] = 20.0
+    """K2 of the paper: gain of the velocity loop closed around the unit mass [1/s]."""
+    orientation_stiffness: Annotated[float, Gt(0)] = 2500.0
+    """Proportional gain that holds the orientation of the instrument [1/s^2]."""
+    orientation_damping: Annotated[float, Gt(0)] = 100.0
+    """Derivative gain that holds the orientation of the instrument [1/s]."""
+    position_stiffness: Annotated[float, Gt(0)] = 2500.0
+    """Proportional gain that holds the axes that are not force-controlled [1/s^2]."""
+    position_damping: Annotated[float, Gt(0)] = 100.0
+    """Derivative gain that holds the axes that are not force-controlled [1/s]."""
+    friction_velocity: Annotated[float, Gt(0)] = 0.02
+    """Joint speed over which the compensation of Coulomb friction changes sign [rad/s]."""
+
+
+@dataclass(frozen=True)
+class ImperfectionConfig:
+    """What separates Robot_Tool from its model."""
+
+    inertia_error: Annotated[float, Gt(-1)] = 0.2
+    """Relative error of the masses, inertias and armatures in the model of the tool [-]."""
+    friction: Annotated[float, Ge(0)] = 1.0
+    """Joint friction of both arms as a multiple of the identified one [-]."""
+    friction_compensation: Annotated[float, Ge(0), Le(1)] = 0.8
+    """Share of the joint friction that the tool's inner loop compensates [-]."""
+    torque_lag: Annotated[float, Ge(0), Lt(0.1)] = 0.001
+    """Time constant of the first-order lag from torque command to torque [s]."""
+    delay: Annotated[int, Ge(0), Le(20)] = 1
+    """Whole control cycles between a command and the torque that it causes [cycles]."""
+
+
+@dataclass(frozen=True)
+class CellConfig:
+    """The two-robot cell."""
+
+    period: Annotated[float, Gt(0), Le(0.1)] = 0.001
+    """Control period [s]."""
+    substeps: Annotated[int, Ge(1), Le(1000)] = 8
+    """Physics steps in one control period [-]."""
+    contact: ContactConfig = field(default_factory=ContactConfig)
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    tool: ToolConfig = field(default_factory=ToolConfig)
+    imperfections: ImperfectionConfig = field(default_factory=ImperfectionConfig)

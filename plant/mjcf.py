@@ -1,0 +1,293 @@
+"""MuJoCo model (MJCF) of the cell: two arms, the contact spring between them, and what is drawn.
+
+Names, with ``<arm>`` either ``heart`` or ``tool``: bodies ``<arm>_base``, ``<arm>_link1..6``,
+``heart_pad``, ``tool_instrument``; joints ``<arm>_joint1..6``; sites ``heart_surface``,
+``tool_tip``; camera ``overview``; keyframe ``home``. Joints 0 to 5 are the heart's, 6 to 11 the
+tool's. Actuators, in this order:
+
+    ======= ====================== ==============================================================
+    0-5     ``heart_servo1..6``    torque = SERVO_STIFFNESS (ctrl - q) - SERVO_DAMPING qdot [N m]
+    6-11    ``tool_motor1..6``     ctrl is the torque [N m], cut at the limit, after a lag if any
+    12-14   ``contact_x/y/z``      the contact spring; its ctrl has no effect
+    ======= ====================== ==============================================================
+
+Equality constraints ``tool_brake1..6`` hold the tool's joints where ``eq_data`` says; not active
+until the cell closes the brakes.
+
+Contact. The force that the tool exerts on the tissue is ``y = K (x_tool - x_tissue) + D (v_tool -
+v_tissue)``, so pressing down gives a negative y on z. The tool feels ``-y``, and this is what the
+contact actuators carry: a positive force on z means that the tissue pushes the tool up. As an
+actuator between two sites the spring acts inside ``mj_step``, at the physics rate, equal and
+opposite on both arms.
+
+What MuJoCo does with ``refsite``: length and force of each contact actuator are along the axes of
+``heart_surface``, which turn with the heart's flange. As K and D are the same on all axes, the
+*vector* does not depend on these axes: ``-R actuator_force[12:15]`` with R the world orientation of
+``heart_surface`` is y in the world, exactly, however the flange turns. Tool and tissue are pushed
+at their own sites; the spring force lies on the line between the two, so no moment is lost; only
+a damping force across that line leaves one, of force times distance (2 N at 2 mm: 4 mN m). Without
+R the error is the force times the angle of the flange, below 0.3 mrad under 10 N (measured).
+"""
+
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from plant.arm_model import (
+    TIP_NAME,
+    Inertia,
+    Solid,
+    base_placement,
+    body_placements,
+    effector_inertia,
+    effector_solids,
+    home_configuration,
+    link_inertias,
+    link_solids,
+    tip_placement,
+)
+from plant.viper import ArmSpec, FloatArray, Station
+
+SERVO_STIFFNESS = 40000.0
+"""Position gain of the heart's joint servos [N m/rad]."""
+SERVO_DAMPING = 400.0
+"""Velocity gain of the heart's joint servos [N m s/rad]."""
+
+_JOINTS = range(1, 7)
+
+
+def cell_mjcf(
+    spec: ArmSpec,
+    heart: Station,
+    tool: Station,
+    *,
+    timestep: float,
+    stiffness: float,
+    damping: float,
+    friction: float,
+    torque_lag: float,
+) -> str:
+    """MJCF of the whole cell.
+
+    Args:
+        spec: both arms.
+        heart: place and load of Robot_Heart.
+        tool: place and load of Robot_Tool.
+        timestep: of the physics [s].
+        stiffness: K of the contact, on every axis [N/m].
+        damping: D of the contact, on every axis [N s/m].
+        friction: joint friction of both arms as a multiple of the spec's, 0 for none [-].
+        torque_lag: time constant from torque command to torque of the tool's motors, 0 for
+            none [s]. With a lag, the state of the motors is ``data.act``, shape (6,) [N m].
+
+    Raises:
+        PlantError: the contact point cannot be reached.
+    """
+    root = ET.Element("mujoco", model="pulsempc cell")
+    _add(root, "compiler", angle="radian", autolimits="true")
+    # Only the joint friction needs the constraint solver: twelve rows, one per joint. Newton mostly
+    # needs a single step from a warm start. PGS takes as long (measured, within the noise); CG, or
+    # Newton from a cold start, makes the whole step twice as long; a coarse tolerance gains nothing
+    # and a limit of one iteration loses accuracy. Looking for islands costs a tenth more.
+    option = _add(root, "option", timestep=timestep, integrator="implicitfast", solver="Newton")
+    _add(option, "flag", contact="disable", island="disable")
+    _add_looks(root)
+    world = _add(root, "worldbody")
+    _add_surroundings(world)
+    for station in (heart, tool):
+        _add_arm(world, spec, station, timestep, friction)
+    actuators = _add(root, "actuator")
+    for i in _JOINTS:
+        _add(
+            actuators,
+            "general",
+            name=f"heart_servo{i}",
+            joint=f"heart_joint{i}",
+            gainprm=SERVO_STIFFNESS,
+            biastype="affine",
+            biasprm=(0.0, -SERVO_STIFFNESS, -SERVO_DAMPING),
+        )
+    lag = {"dyntype": "filterexact", "dynprm": torque_lag} if torque_lag > 0 else {}
+    for i, limit in zip(_JOINTS, spec.torque_limit.si.tolist(), strict=True):
+        _add(
+            actuators,
+            "general",
+            name=f"tool_motor{i}",
+            joint=f"tool_joint{i}",
+            forcerange=(-limit, limit),
+            **lag,
+        )
+    for axis, direction in zip("xyz", np.eye(3), strict=True):
+        _add(
+            actuators,
+            "general",
+            name=f"contact_{axis}",
+            site=TIP_NAME["tool"],
+            refsite=TIP_NAME["heart"],
+            gear=(*direction, 0.0, 0.0, 0.0),
+            gainprm=0.0,
+            biastype="affine",
+            biasprm=(0.0, -stiffness, -damping),
+        )
+    brakes = _add(root, "equality")
+    for i in _JOINTS:
+        _add(
+            brakes,
+            "joint",
+            name=f"tool_brake{i}",
+            joint1=f"tool_joint{i}",
+            active="false",
+            solref=(2.0 * timestep, 1.0),
+            solimp=(0.9999, 0.9999, 0.001, 0.5, 2.0),
+        )
+    home = [home_configuration(spec, station) for station in (heart, tool)]
+    _add(
+        _add(root, "keyframe"),
+        "key",
+        name="home",
+        qpos=np.concatenate(home),
+        ctrl=np.concatenate([home[0], np.zeros(9)]),
+    )
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _add_arm(
+    world: ET.Element, spec: ArmSpec, station: Station, timestep: float, friction: float
+) -> None:
+    name = station.name
+    placements, inertias, solids = body_placements(spec), link_inertias(spec), link_solids(spec)
+    # The heart's servos only have to track: its weight is carried.
+    extra = {"gravcomp": 1.0} if name == "heart" else {}
+    body = _add_body(world, f"{name}_base", base_placement(station), inertias[0], solids[0])
+    for i in _JOINTS:
+        body = _add_body(
+            body, f"{name}_link{i}", placements[i - 1], inertias[i], solids[i], **extra
+        )
+        j = i - 1
+        losses = {}
+        if friction > 0:
+            # MuJoCo's stiction is a strong damper: under half the Coulomb torque the tip creeps at
+            # 8 mm/s with its default reference and impedance, at 1 um/s with the shortest time
+            # constant that it accepts and this impedance, at the same cost.
+            losses = {
+                "frictionloss": friction * spec.coulomb_friction.si[j],
+                "damping": friction * spec.viscous_friction.si[j],
+                "solreffriction": (2.0 * timestep, 1.0),
+                "solimpfriction": (0.999, 0.999, 0.001),
+            }
+        _add(
+            body,
+            "joint",
+            name=f"{name}_joint{i}",
+            range=(spec.lower[j], spec.upper[j]),
+            armature=spec.armature.si[j],
+            **losses,
+        )
+    effector = station.effector
+    held = _add_body(
+        body,
+        f"{name}_{effector.kind}",
+        placements[6],
+        effector_inertia(effector),
+        effector_solids(effector),
+        **extra,
+    )
+    _add(held, "site", name=TIP_NAME[name], size=0.003, group=3, **_pose(tip_placement(station)))
+
+
+def _add_body(
+    parent: ET.Element,
+    name: str,
+    placement: FloatArray,
+    inertia: Inertia,
+    solids: tuple[Solid, ...],
+    **extra: float,
+) -> ET.Element:
+    body = _add(parent, "body", name=name, **_pose(placement), **extra)
+    i = inertia.tensor
+    _add(
+        body,
+        "inertial",
+        pos=inertia.com,
+        mass=inertia.mass,
+        fullinertia=(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
+    )
+    for solid in solids:
+        _add(
+            body,
+            "geom",
+            type=solid.shape,
+            fromto=(*solid.start, *solid.end),
+            size=solid.radius,
+            material=solid.material,
+            contype="0",
+            conaffinity="0",
+        )
+    return body
+
+
+def _add_looks(root: ET.Element) -> None:
+    visual = _add(root, "visual")
+    _add(visual, "global", offwidth=1920, offheight=1080)
+    _add(visual, "headlight", ambient=(0.35, 0.35, 0.35), diffuse=(0.35, 0.35, 0.35))
+    _add(visual, "quality", shadowsize=4096)
+    _add(visual, "map", znear=0.02)
+    asset = _add(root, "asset")
+    blue, white, black = (0.55, 0.65, 0.75), (0.93, 0.95, 0.97), (0.16, 0.17, 0.19)
+    sizes = {"width": 512, "height": 512}
+    _add(asset, "texture", type="skybox", builtin="gradient", rgb1=white, rgb2=blue, **sizes)
+    _add(
+        asset,
+        "texture",
+        name="tiles",
+        type="2d",
+        builtin="checker",
+        rgb1=(0.78, 0.80, 0.82),
+        rgb2=(0.72, 0.74, 0.77),
+        **sizes,
+    )
+    _add(asset, "material", name="floor", texture="tiles", texrepeat=(8, 8), reflectance=0.08)
+    _add(asset, "material", name="shell", rgba=(*white, 1.0), specular=0.4, shininess=0.5)
+    _add(asset, "material", name="joint", rgba=(*black, 1.0), specular=0.3, shininess=0.3)
+    _add(asset, "material", name="steel", rgba=(0.62, 0.64, 0.67, 1), specular=0.9, shininess=0.9)
+    _add(asset, "material", name="tissue", rgba=(0.75, 0.22, 0.22, 1), specular=0.5, shininess=0.6)
+
+
+def _add_surroundings(world: ET.Element) -> None:
+    _add(world, "light", pos=(-0.6, -1.2, 2.2), dir=(0.3, 0.6, -1.0), diffuse=(0.6, 0.6, 0.6))
+    _add(
+        world,
+        "geom",
+        name="floor",
+        type="plane",
+        size=(2.0, 2.0, 0.1),
+        material="floor",
+        contype="0",
+        conaffinity="0",
+    )
+    # Looks along +y and a little down; x of the picture is x of the world.
+    down = np.deg2rad(15.0)
+    _add(
+        world,
+        "camera",
+        name="overview",
+        pos=(0.0, -1.55, 0.80),
+        xyaxes=(1.0, 0.0, 0.0, 0.0, np.sin(down), np.cos(down)),
+        fovy=45.0,
+    )
+
+
+def _pose(placement: FloatArray) -> dict[str, FloatArray]:
+    return {"pos": placement[:3, 3], "xyaxes": placement[:3, :2].T.ravel()}
+
+
+def _add(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
+    return ET.SubElement(parent, tag, {key: _text(value) for key, value in attributes.items()})
+
+
+def _text(value: object) -> str:
+    """Attribute as MJCF text; 17 digits give every double back as it was."""
+    if isinstance(value, str):
+        return value
+    return " ".join(f"{number:.17g}" for number in np.asarray(value, dtype=np.float64).ravel())

@@ -1,0 +1,134 @@
+"""Robot_Heart's programme: joint servo commands that make the tissue follow a motion."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from plant.arm_model import ArmModel
+from plant.errors import PlantError
+from plant.mjcf import SERVO_DAMPING, SERVO_STIFFNESS
+from plant.viper import ArmSpec, FloatArray
+
+_TOLERANCE = 1e-10
+"""Pose error with which the inverse kinematics is content [m, rad]."""
+_ITERATIONS = 30
+_SIGN_SPEED = 0.005
+"""Joint speed over which the feed-forward of Coulomb friction changes sign [rad/s]."""
+
+
+class UnreachableMotionError(PlantError):
+    """Robot_Heart cannot play a motion.
+
+    Attributes:
+        time: when it fails first [s].
+        joint: number of the joint that fails, from 1; None where no posture reaches the point.
+    """
+
+    def __init__(self, time: float, joint: int | None, reason: str) -> None:
+        self.time, self.joint = time, joint
+        super().__init__(
+            f"the motion is beyond Robot_Heart at t = {time:.3f} s: {reason}; "
+            "scale it down or check that it is in metres"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """Robot_Heart's joints at the control instants."""
+
+    q: FloatArray
+    """Joint angles, ``(n, 6)`` [rad]."""
+    qdot: FloatArray
+    """Joint speeds, ``(n, 6)`` [rad/s]."""
+    ctrl: FloatArray
+    """Servo commands with velocity and torque feed-forward, ``(n, 6)`` [rad]."""
+
+
+def programme(
+    spec: ArmSpec,
+    arm: ArmModel,
+    home: FloatArray,
+    displacement: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    period: float,
+    *,
+    friction: float,
+) -> Programme:
+    """Turn a motion of the tissue into joint servo commands.
+
+    Inverse kinematics by Newton's method from sample to sample, orientation held as at home; the
+    torque feed-forward is that of the exact model without gravity, which the arm carries itself.
+
+    Args:
+        spec: the arm's ranges and speeds.
+        arm: its exact model, in the world's frame.
+        home: joint angles at zero displacement, ``(6,)`` [rad].
+        displacement, velocity, acceleration: of the tissue from home, ``(n, 3)`` each
+            [m, m/s, m/s^2].
+        period: between samples [s].
+        friction: joint friction as a multiple of the spec's; the servos feed it forward [-].
+
+    Raises:
+        UnreachableMotionError: outside the workspace, a joint's range or its speed.
+    """
+    model, data = arm.model, arm.model.createData()
+    frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    pin.framesForwardKinematics(model, data, home)
+    goal = pin.SE3(data.oMf[arm.tip])
+    origin = goal.translation.copy()
+    n = displacement.shape[0]
+    q, qdot, ctrl = np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 6))
+    angles, zero, twist, wrench = home.copy(), np.zeros(6), np.zeros(6), np.zeros(6)
+    speed_limit = spec.joint_speed.si
+    coulomb, viscous = friction * spec.coulomb_friction.si, friction * spec.viscous_friction.si
+    for k in range(n):
+        goal.translation = origin + displacement[k]
+        angles = _reach(arm, data, goal, angles, k * period)
+        J = pin.computeFrameJacobian(model, data, angles, arm.tip, frame)
+        twist[:3], wrench[:3] = velocity[k], acceleration[k]
+        speeds = np.linalg.solve(J, twist)
+        pin.forwardKinematics(model, data, angles, speeds, zero)
+        drift = pin.getFrameClassicalAcceleration(model, data, arm.tip, frame).vector
+        accelerations = np.linalg.solve(J, wrench - drift)
+        torque = pin.rnea(model, data, angles, speeds, accelerations)
+        torque = torque - pin.computeGeneralizedGravity(model, data, angles)
+        q[k], qdot[k] = angles, speeds
+        torque += coulomb * np.tanh(speeds / _SIGN_SPEED) + viscous * speeds
+        ctrl[k] = angles + (SERVO_DAMPING * speeds + torque) / SERVO_STIFFNESS
+        _check(q[k], spec.lower, spec.upper, k * period, "angle", "range")
+        _check(qdot[k], -speed_limit, speed_limit, k * period, "speed", "limit")
+        angles = angles + period * speeds
+    return Programme(q, qdot, ctrl)
+
+
+def _reach(arm: ArmModel, data: object, goal: object, q: FloatArray, time: float) -> FloatArray:
+    """Solve the inverse kinematics near ``q``."""
+    for _ in range(_ITERATIONS):
+        pin.framesForwardKinematics(arm.model, data, q)
+        error = pin.log6(data.oMf[arm.tip].actInv(goal)).vector  # type: ignore[attr-defined]
+        if np.abs(error).max() < _TOLERANCE:
+            return q
+        J = pin.computeFrameJacobian(arm.model, data, q, arm.tip, pin.ReferenceFrame.LOCAL)
+        try:
+            step = np.linalg.solve(J, error)
+        except np.linalg.LinAlgError:
+            break
+        # Far from the goal a full Newton step may leap into another posture.
+        q = q + step * min(1.0, 0.3 / max(np.abs(step).max(), 1e-300))
+    raise UnreachableMotionError(time, None, "no posture of the arm reaches the point")
+
+
+def _check(
+    value: FloatArray, lower: FloatArray, upper: FloatArray, time: float, what: str, limit: str
+) -> None:
+    outside = np.flatnonzero((value < lower) | (value > upper))
+    if outside.size:
+        j = int(outside[0])
+        unit = "deg" if what == "angle" else "deg/s"
+        low, high, at = (float(np.rad2deg(v[j])) for v in (lower, upper, value))
+        reason = (
+            f"joint {j + 1} would need {what} {at:.0f} {unit}, its {limit} is {low:.0f}..{high:.0f}"
+        )
+        raise UnreachableMotionError(time, j + 1, reason)

@@ -1,0 +1,101 @@
+"""Constrained, QP-based model predictive control: models, prediction, QPs, backends, observers.
+
+This package knows no robot, no file and no clock policy. It shares its import name with an
+unrelated package on PyPI (``qpmpc`` by S. Caron); ours is distributed as ``pulsempc``.
+"""
+
+from qpmpc.augment import (
+    Exosystem,
+    combined,
+    constant,
+    oscillator,
+    parabola,
+    ramp,
+    with_delay,
+    with_disturbance,
+)
+from qpmpc.backends import Backend, BackendInfo, RawSolution, available, register
+from qpmpc.bounds import CommandBound, OutputBound, RateBound
+from qpmpc.config import (
+    BoundsConfig,
+    ControllerConfig,
+    ModelConfig,
+    ObserverConfig,
+    PerAxis,
+)
+from qpmpc.contact import ContactModel, contact_model
+from qpmpc.controller import Controller, Step, Times
+from qpmpc.errors import (
+    BackendSetupError,
+    BackendUnavailableError,
+    BoundsError,
+    ModelError,
+    ObserverError,
+    QpmpcError,
+    ShapeError,
+    UnknownNameError,
+)
+from qpmpc.force_control import AxisModel, ForceController, axis_model
+from qpmpc.models import LinearModel, from_state_space, stack, zero_order_hold
+from qpmpc.observer import KalmanObserver
+from qpmpc.prediction import Prediction, absolute_prediction, prediction
+from qpmpc.problem import Problem
+from qpmpc.program import QuadraticProgram
+from qpmpc.reference import ExponentialReference
+from qpmpc.solver import Residuals, Solution, Solver
+from qpmpc.status import Status
+
+__all__ = [
+    "AxisModel",
+    "Backend",
+    "BackendInfo",
+    "BackendSetupError",
+    "BackendUnavailableError",
+    "BoundsConfig",
+    "BoundsError",
+    "CommandBound",
+    "ContactModel",
+    "Controller",
+    "ControllerConfig",
+    "Exosystem",
+    "ExponentialReference",
+    "ForceController",
+    "KalmanObserver",
+    "LinearModel",
+    "ModelConfig",
+    "ModelError",
+    "ObserverConfig",
+    "ObserverError",
+    "OutputBound",
+    "PerAxis",
+    "Prediction",
+    "Problem",
+    "QpmpcError",
+    "QuadraticProgram",
+    "RateBound",
+    "RawSolution",
+    "Residuals",
+    "ShapeError",
+    "Solution",
+    "Solver",
+    "Status",
+    "Step",
+    "Times",
+    "UnknownNameError",
+    "absolute_prediction",
+    "available",
+    "axis_model",
+    "combined",
+    "constant",
+    "contact_model",
+    "from_state_space",
+    "oscillator",
+    "parabola",
+    "prediction",
+    "ramp",
+    "register",
+    "stack",
+    "with_delay",
+    "with_disturbance",
+    "zero_order_hold",
+]

@@ -1,0 +1,100 @@
+"""What can be set on the force controller: frozen records, SI units, tuned defaults.
+
+Plain data: whoever reads a file checks it against the types and the ranges in the annotations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le
+
+Disturbance = Literal["none", "constant", "ramp", "fused"]
+Interval = tuple[float, float]
+"""Lower and upper bound; infinite: none."""
+
+FREE: Interval = (-float("inf"), float("inf"))
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The controller's idea of the plant: eqs. (7)-(9) of the paper, delay and lag added."""
+
+    stiffness: Annotated[float, Gt(0)] = 2500.0
+    """Estimated stiffness of the tissue, K_s with a hat [N/m]."""
+    velocity_damping: Annotated[float, Ge(0)] = 20.0
+    """K2, gain of the velocity loop around the unit mass [1/s]."""
+    delay: Annotated[int, Ge(0), Le(20)] = 1
+    """Whole cycles between a command and the torque it causes [cycles]."""
+    lag: Annotated[float, Ge(0), Le(0.1)] = 0.001
+    """Time constant of a first-order lag from command to acceleration [s]; 0: none."""
+
+
+@dataclass(frozen=True)
+class ObserverConfig:
+    """Steady-state Kalman observer: which disturbance it models, and the noise it is told."""
+
+    disturbance: Disturbance = "fused"
+    """``none``: the paper's own state, force and encoder velocity; ``constant`` or ``ramp``: a
+    disturbance matched to the input, seen by the force sensor; ``fused``: tissue velocity seen by
+    the force sensor and input error seen by the encoders."""
+    force_noise: Annotated[float, Gt(0)] = 0.003
+    """Standard deviation of the measured force [N]."""
+    velocity_noise: Annotated[float, Gt(0)] = 1e-5
+    """Standard deviation of the tool's measured velocity [m/s]."""
+    input_drift: Annotated[float, Gt(0)] = 0.3
+    """``constant``, ``fused`` (input error), ``none``: change of the disturbance per cycle
+    [m/s^2], standard deviation."""
+    input_slope_drift: Annotated[float, Gt(0)] = 300.0
+    """``ramp``: change per cycle of the disturbance's slope [m/s^3], standard deviation."""
+    tissue_jerk_drift: Annotated[float, Gt(0)] = 100.0
+    """``fused``: change per cycle of the tissue's jerk [m/s^3], standard deviation."""
+
+
+@dataclass(frozen=True)
+class PerAxis:
+    """A bound for each axis."""
+
+    x: Interval = FREE
+    y: Interval = FREE
+    z: Interval = FREE
+
+
+@dataclass(frozen=True)
+class BoundsConfig:
+    """Bounds, each side of which may be infinite; command and rate are hard, the others soft."""
+
+    command: Interval = (-20.0, 20.0)
+    """Acceleration command, every axis [m/s^2]."""
+    rate: Interval = FREE
+    """Change of the command per cycle, every axis [m/s^2]."""
+    force: PerAxis = field(default_factory=PerAxis)
+    """Contact force [N]."""
+    velocity: Interval = FREE
+    """Velocity of the tool, every axis [m/s]."""
+    force_penalty: Annotated[float, Gt(0)] = 100.0
+    """Cost of 1 N of violation at one step, in units of the squared force error."""
+    velocity_penalty: Annotated[float, Gt(0)] = 1e4
+    """Cost of 1 m/s of violation at one step."""
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """The receding-horizon force controller."""
+
+    horizon: Annotated[int, Ge(1), Le(512)] = 8
+    """N, predicted steps."""
+    control_horizon: Annotated[int, Ge(1), Le(512)] | None = None
+    """N_u, free increments; N if not given."""
+    decision: Literal["increment", "absolute"] = "increment"
+    """Whether Theta multiplies increments, or absolute commands (eq. (10) to the letter)."""
+    force_weight: Annotated[float, Gt(0)] = 1.0
+    """delta, cost of a squared newton of force error."""
+    increment_weight: Annotated[float, Gt(0)] = 0.003
+    """lambda, cost of a squared m/s^2 of decision."""
+    reference_time: Annotated[float, Ge(0)] = 0.02
+    """T_ref, time constant with which the reference approaches the setpoint [s]; 0: at once."""
+    model: ModelConfig = field(default_factory=ModelConfig)
+    observer: ObserverConfig = field(default_factory=ObserverConfig)
+    bounds: BoundsConfig = field(default_factory=BoundsConfig)

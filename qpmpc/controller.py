@@ -1,0 +1,160 @@
+"""The receding-horizon controller: observer, reference, QP, command, once per cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qpmpc.arrays import Array
+from qpmpc.backends import Backend
+from qpmpc.observer import KalmanObserver
+from qpmpc.problem import Problem
+from qpmpc.solver import Residuals, Solver
+from qpmpc.status import Status
+
+Reference = Callable[[Array, Array], Array]
+"""Maps setpoint preview ``(N + 1, n_outputs)`` and output ``(n_outputs,)`` to w ``(N, n_outputs)``."""
+
+_CLIP_TOLERANCE = 1e-6
+"""Share of the room between the bounds that a solver's tolerance may cost without a word."""
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """Where a step's time went [s]."""
+
+    update: float
+    """Observer, reference, vectors of the QP and their scaling."""
+    solve: float
+    """The backend alone."""
+    step: float
+    """The whole step, from measurement to command."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one cycle decided and how. Arrays are the step's own."""
+
+    status: Status
+    command: Array
+    """u(k), to be applied now, ``(n_inputs,)``."""
+    decision: Array
+    """Increments Delta u(k) ... (absolute commands where so configured), ``(N_u, n_inputs)``."""
+    predicted: Array
+    """Outputs y(k+1) ... y(k+N) under the decision, ``(N, n_outputs)``."""
+    slack: Mapping[str, Array]
+    """Violation of every bound by the plan, by the bound's name, in the bound's unit."""
+    residuals: Residuals
+    iterations: int
+    times: Times
+
+    def __repr__(self) -> str:
+        return (
+            f"Step({self.status}, command={np.array2string(self.command, precision=4)}, "
+            f"{self.times.step * 1e6:.0f} us)"
+        )
+
+
+class Controller:
+    """A receding-horizon controller for any plant that a linear model describes.
+
+    A cycle is ``step = controller.step(measurement, preview)``, then the command is applied, then
+    ``controller.prepare()`` does what needs no measurement. Who leaves `prepare` out gets it done
+    at the start of the next step.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        observer: KalmanObserver,
+        reference: Reference,
+        backend: str | type[Backend] = "osqp",
+    ) -> None:
+        """Join the parts; the backend is set up and primed here.
+
+        Args:
+            problem: the condensed problem; its model is the observer's.
+            observer: the state estimate, reset to the state to begin with.
+            reference: for instance an `ExponentialReference`.
+            backend: a registered name or a backend class.
+
+        Raises:
+            UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`.
+        """
+        self.problem, self.observer, self.reference = problem, observer, reference
+        self.solver = Solver(problem.qp, backend, problem.rows.values())
+        n_u, n_y = problem.model.n_inputs, problem.model.n_outputs
+        self._n_u, self._shape = n_u, (problem.horizon, n_y)
+        self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
+        self._output = np.zeros(n_y)
+        self._prepared = True
+        self.command = np.zeros(n_u)
+        """The command of the last step, u(k-1) of the next one, ``(n_inputs,)``."""
+        self.reset(observer.state.copy())
+
+    def reset(self, state: ArrayLike = 0.0, command: ArrayLike = 0.0) -> None:
+        """Start anew from a state estimate ``(n,)`` and the command applied so far."""
+        self.observer.reset(state)
+        self.command[:] = command
+        self._prepared = True
+
+    def prepare(self) -> None:
+        """Advance the observer under the command just applied; needs no measurement."""
+        if not self._prepared:
+            self.observer.predict(self.command)
+            self._prepared = True
+
+    def step(self, measurement: Array, preview: Array) -> Step:
+        """Decide the command of this cycle.
+
+        Where no usable answer comes (NaN measured, infeasible, limit reached) the command is held
+        and the status tells why.
+
+        Args:
+            measurement: what the observer measures, ``(n_measured,)``.
+            preview: setpoint s(k) ... s(k+N), ``(N + 1, n_outputs)``.
+        """
+        begin = perf_counter()
+        self.prepare()
+        problem, previous = self.problem, self.command
+        state = self.observer.correct(measurement)
+        np.dot(self._C, state, out=self._output)
+        problem.update(state, previous, self.reference(preview, self._output))
+        updated = perf_counter()
+        solution = self.solver.solve(problem.q, problem.l, problem.u)
+        status = solution.status
+        if status.usable:
+            decision = solution.x.copy()
+            command = problem.command(decision, previous)
+            low, high = problem.limits(previous)
+            clipped = np.minimum(np.maximum(command, low), high)
+            tolerance = _CLIP_TOLERANCE * np.minimum(high - low, 1e12)
+            if (np.abs(clipped - command) > tolerance).any():
+                status = Status.CLIPPED
+            command = clipped
+        else:
+            decision = np.zeros(problem.qp.n)
+            command = previous.copy()
+        predicted = self._Theta @ decision
+        predicted += problem.free
+        slack = solution.slack.copy()
+        self.command[:] = command
+        self._prepared = False
+        now = perf_counter()
+        return Step(
+            status,
+            command,
+            decision.reshape(-1, self._n_u),
+            predicted.reshape(self._shape),
+            {name: slack[rows] for name, rows in problem.rows.items()},
+            solution.residuals,
+            solution.iterations,
+            Times(updated - begin + solution.update_time, solution.solve_time, now - begin),
+        )
+
+    def __repr__(self) -> str:
+        return f"Controller({self.problem!r}, backend='{self.solver.backend_name}')"

@@ -1,0 +1,135 @@
+"""The quadratic program that controller and backends speak about, with soft rows in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from qpmpc.arrays import Array, matrix, vector
+from qpmpc.errors import BoundsError, ModelError
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticProgram:
+    """A convex QP over ``x`` of size n, with m rows of which some may be soft.
+
+        minimise    1/2 x' P x + q' x + sum_i (linear_i s_i + quadratic_i s_i^2)
+        subject to  l - s <= A x <= u + s,   s >= 0,   s_i = 0 where linear_i is infinite
+
+    A soft row gives way at the price ``linear_i`` per unit of violation: an exact penalty, as long
+    as it exceeds the multiplier that the row would have if it were hard.
+
+    Raises:
+        ShapeError: sizes do not fit. ModelError: NaN, P not symmetric, negative penalty.
+        BoundsError: a lower bound above the upper one.
+    """
+
+    P: Array
+    """Hessian, ``(n, n)``, symmetric, positive semidefinite."""
+    q: Array
+    """Gradient at zero, ``(n,)``."""
+    A: Array
+    """Rows, ``(m, n)``."""
+    l: Array  # noqa: E741 - the field's name for it
+    """Lower bounds, ``(m,)``, may be -inf."""
+    u: Array
+    """Upper bounds, ``(m,)``, may be +inf."""
+    linear: Array | float = np.inf
+    """Penalty per unit of violation of each row, ``(m,)`` or one for all; infinite: hard."""
+    quadratic: Array | float = 0.0
+    """Penalty per squared unit of violation of each row, ``(m,)`` or one for all."""
+
+    def __post_init__(self) -> None:
+        P = matrix("P", self.P)
+        n = P.shape[0]
+        matrix("P", P, n, n)
+        if not np.allclose(P, P.T, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(P).max(initial=0.0))):
+            raise ModelError("P must be symmetric")
+        A = matrix("A", self.A, columns=n)
+        m = A.shape[0]
+        fields = {
+            "P": P,
+            "q": vector("q", self.q, n),
+            "A": A,
+            "l": vector("l", self.l, m, finite=False),
+            "u": vector("u", self.u, m, finite=False),
+            "linear": vector("linear", self.linear, m, finite=False),
+            "quadratic": vector("quadratic", self.quadratic, m),
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+        if (fields["linear"] <= 0).any() or (fields["quadratic"] < 0).any():
+            raise ModelError("penalties must be positive (linear) and not negative (quadratic)")
+        crossed = np.flatnonzero(fields["l"] > fields["u"])
+        if crossed.size:
+            i = int(crossed[0])
+            raise BoundsError(f"row {i}", f"lower {self.l[i]:g} exceeds upper {self.u[i]:g}")
+
+    @property
+    def n(self) -> int:
+        """Number of variables."""
+        return self.P.shape[0]
+
+    @property
+    def m(self) -> int:
+        """Number of rows."""
+        return self.A.shape[0]
+
+    @property
+    def soft(self) -> Array:
+        """Indices of the soft rows, ``(n_soft,)``."""
+        return np.flatnonzero(np.isfinite(self.linear))
+
+    def __repr__(self) -> str:
+        return f"QuadraticProgram(variables={self.n}, rows={self.m}, soft={self.soft.size})"
+
+
+class SlackForm:
+    """A soft QP written as a hard one with explicit slack, for solvers that know no soft rows.
+
+    Variables become ``(x, s)``. A soft row ``l - s <= a x <= u + s`` becomes the two rows
+    ``a x + s >= l`` and ``a x - s <= u``, and every slack gets a row ``s >= 0``; hard rows stay.
+    Which rows are there depends on the constant part alone: bounds may move, in and out of
+    infinity too, without a change of the matrix.
+    """
+
+    def __init__(self, qp: QuadraticProgram) -> None:
+        """Build the constant part ``P``, ``A`` and the maps of the vectors from ``qp``."""
+        soft = qp.soft
+        hard = np.setdiff1d(np.arange(qp.m), soft)
+        k = soft.size
+        zero = np.zeros((qp.n, k))
+        self.n, self._n_hard, self._n_soft = qp.n, hard.size, k
+        self._hard, self._soft = hard, soft
+        self.P = np.block([[qp.P, zero], [zero.T, 2.0 * np.diag(qp.quadratic[soft])]])
+        eye = np.eye(k)
+        self.A = np.block(
+            [
+                [qp.A[hard], np.zeros((hard.size, k))],
+                [qp.A[soft], eye],
+                [qp.A[soft], -eye],
+                [zero.T, eye],
+            ]
+        )
+        rows = self.A.shape[0]
+        self.q = np.concatenate([qp.q, qp.linear[soft]])
+        self.l, self.u = np.full(rows, -np.inf), np.full(rows, np.inf)
+        self.l[rows - k :] = 0.0
+        self.update(qp.q, qp.l, qp.u)
+
+    def update(self, q: Array, l: Array, u: Array) -> None:  # noqa: E741
+        """Write the vectors of the soft QP into ``self.q``, ``self.l``, ``self.u``, in place."""
+        h, k = self._n_hard, self._n_soft
+        self.q[: self.n] = q
+        np.take(l, self._hard, out=self.l[:h])
+        np.take(u, self._hard, out=self.u[:h])
+        np.take(l, self._soft, out=self.l[h : h + k])
+        np.take(u, self._soft, out=self.u[h + k : h + 2 * k])
+
+    def multipliers(self, y: Array, out: Array) -> Array:
+        """Fold the multipliers of the slack form into one per row of the soft QP, into ``out``."""
+        h, k = self._n_hard, self._n_soft
+        out[self._hard] = y[:h]
+        out[self._soft] = y[h : h + k] + y[h + k : h + 2 * k]
+        return out

@@ -1,0 +1,159 @@
+"""Between a QP and a backend: scaling before, a check of the answer after, and the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from qpmpc.arrays import Array
+from qpmpc.backends import Backend, backend_class
+from qpmpc.program import QuadraticProgram
+from qpmpc.scaling import Scaling
+from qpmpc.status import Status
+
+TOLERANCE = 1e-6
+"""Largest residual, in scaled units of order one, with which an answer counts as solved."""
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """How far an answer is from optimal, in scaled units, computed by the library."""
+
+    primal: float
+    """Largest violation of a hard row."""
+    dual: float
+    """Largest entry of ``P x + q + A' y``."""
+    gap: float
+    """Largest violation of complementarity: a multiplier on a row that is not at its bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A checked answer in the QP's own units. The arrays are valid until the next solve."""
+
+    status: Status
+    x: Array
+    """Minimiser, ``(n,)``."""
+    slack: Array
+    """Violation of each row, ``(m,)``: what soft rows gave way."""
+    residuals: Residuals
+    iterations: int
+    update_time: float
+    """Scaling of the vectors [s]."""
+    solve_time: float
+    """The backend alone [s]."""
+
+
+class Solver:
+    """One QP family and one backend, persistent: matrices once, vectors at each solve."""
+
+    def __init__(
+        self,
+        qp: QuadraticProgram,
+        backend: str | type[Backend] = "osqp",
+        groups: Iterable[slice] | None = None,
+    ) -> None:
+        """Scale ``qp`` and set the backend up on its constant part.
+
+        Args:
+            qp: the program; its vectors are those of the first solve only.
+            backend: a registered name, or a class with the members of `Backend`.
+            groups: rows that share one scale, see `Scaling`.
+
+        Raises:
+            UnknownNameError, BackendUnavailableError, BackendSetupError.
+        """
+        kind = backend_class(backend) if isinstance(backend, str) else backend
+        self.qp, self.backend_name = qp, kind.name
+        self._heeds_rows = kind.heeds_rows
+        self._scaling = Scaling(qp, groups)
+        scaled = self._scaling.qp
+        self._backend = kind(scaled)
+        self._P, self._A = np.array(scaled.P), np.array(scaled.A)
+        self._At = np.ascontiguousarray(self._A.T)
+        self._hard = np.isinf(scaled.linear)
+        self._linear = np.where(self._hard, 0.0, scaled.linear)
+        self._quadratic2 = 2.0 * scaled.quadratic
+        self._x, self._gradient, self._work = (np.zeros(qp.n) for _ in range(3))
+        self._Ax, self._over, self._under, self._s, self._price = (np.zeros(qp.m) for _ in range(5))
+
+    def solve(self, q: Array, l: Array, u: Array) -> Solution:  # noqa: E741
+        """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)`` in the QP's own units.
+
+        Never raises for what the numbers hold: NaN gives ``Status.FAILED``.
+        """
+        begin = perf_counter()
+        scaling = self._scaling
+        scaling.update(q, l, u)
+        if not _solvable(scaling.q, scaling.l, scaling.u):
+            return self._failure(Status.FAILED, 0, begin)
+        ready = perf_counter()
+        raw = self._backend.solve(scaling.q, scaling.l, scaling.u)
+        done = perf_counter()
+        if not np.isfinite(np.dot(raw.x, raw.x)):
+            return self._failure(Status.FAILED, raw.iterations, begin)
+        residuals = self._check(raw.x, raw.y)
+        np.dot(scaling.T, raw.x, out=self._x)
+        self._s /= scaling.E
+        return Solution(
+            self._judge(raw.status, residuals),
+            self._x,
+            self._s,
+            residuals,
+            raw.iterations,
+            ready - begin,
+            done - ready,
+        )
+
+    def _check(self, x: Array, y: Array) -> Residuals:
+        """Compute residuals and, as a by-product, the violation of each row into ``_s``."""
+        s, price, over, under = self._s, self._price, self._over, self._under
+        Ax = np.dot(self._A, x, out=self._Ax)
+        np.subtract(Ax, self._scaling.u, out=over)
+        np.subtract(self._scaling.l, Ax, out=under)
+        np.maximum(over, under, out=s)
+        np.maximum(s, 0.0, out=s)
+        gradient = np.dot(self._P, x, out=self._gradient)
+        gradient += self._scaling.q
+        gradient += np.dot(self._At, y, out=self._work)
+        np.abs(gradient, out=gradient)
+        if not s.size:
+            return Residuals(0.0, float(gradient.max(initial=0.0)), 0.0)
+        primal = float(np.max(s, where=self._hard, initial=0.0))
+        # A row away from its bounds must have no multiplier: min(distance, multiplier) is 0 there.
+        np.negative(over, out=over)
+        np.negative(under, out=under)
+        gap = max(
+            float(np.minimum(over, y).max()),
+            float(np.minimum(under, -y).max()),
+        )
+        if not self._hard.all():
+            # A soft row that gives way by s has the multiplier linear + 2 quadratic s, never more.
+            np.multiply(self._quadratic2, s, out=price)
+            price += self._linear
+            price -= np.abs(y, out=over)
+            price[self._hard] = 0.0
+            gap = max(gap, float(-price.min()), float(np.minimum(price, s).max()))
+        return Residuals(primal, float(gradient.max(initial=0.0)), max(gap, 0.0))
+
+    def _judge(self, status: Status, residuals: Residuals) -> Status:
+        if not self._heeds_rows or status is not Status.SOLVED:
+            return status
+        worst = max(residuals.primal, residuals.dual, residuals.gap)
+        return Status.SOLVED if worst <= TOLERANCE else Status.INACCURATE
+
+    def _failure(self, status: Status, iterations: int, begin: float) -> Solution:
+        self._x.fill(np.nan)
+        self._s.fill(np.nan)
+        nan = float("nan")
+        return Solution(
+            status, self._x, self._s, Residuals(nan, nan, nan), iterations, perf_counter() - begin, 0.0
+        )
+
+
+def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741
+    """Whether no vector holds NaN, q no infinity, and no bound is infinite on its wrong side."""
+    return bool(np.isfinite(np.dot(q, q)) and l.max(initial=0.0) < np.inf and u.min(initial=0.0) > -np.inf)
