@@ -18,8 +18,6 @@ from plant.sensors import SENSORS, ForceSensor
 from plant.viper import HEART, TOOL, VIPER_S650, FloatArray
 
 _AXES = ("x", "y", "z")
-_TOOL_CTRL = slice(6, 12)
-_CONTACT = slice(12, 15)
 
 
 class Cell:
@@ -87,9 +85,13 @@ class Cell:
         self._sensor = ForceSensor(SENSORS[config.sensor.model], np.random.SeedSequence([seed, 1]))
         self._limit = VIPER_S650.torque_limit.si
         self._spring = config.contact
-        self._tip = self.data.site("tool_tip").xpos
-        self._surface = self.data.site("heart_surface").xpos
-        self._surface_rotation = self.data.site("heart_surface").xmat.reshape(3, 3)
+        # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
+        data = self.data
+        self._q, self._qdot = data.qpos[6:12], data.qvel[6:12]
+        self._heart_ctrl, self._tool_ctrl = data.ctrl[:6], data.ctrl[6:12]
+        self._length, self._speed = data.actuator_length[12:], data.actuator_velocity[12:]
+        self._surface = data.site("heart_surface").xpos
+        self._surface_rotation = data.site("heart_surface").xmat.reshape(3, 3)
         self._cycle = 0
         self._force, self._read = np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
@@ -98,7 +100,7 @@ class Cell:
 
     def close_brakes(self) -> None:
         """Lock the tool's joints where they are."""
-        self.model.eq_data[:6, 0] = self.data.qpos[6:12]
+        self.model.eq_data[:6, 0] = self._q
         self.data.eq_active[:6] = True
 
     def move_tool(self, displacement: FloatArray) -> None:
@@ -107,14 +109,14 @@ class Cell:
 
     def measure(self) -> Measurement:
         """Read force sensor and encoders; the physics has been brought up to this instant."""
-        inner, data = self._inner, self.data
-        inner.observe(data.qpos[6:12], data.qvel[6:12])
-        along = self._spring.stiffness * data.actuator_length[_CONTACT]
-        along += self._spring.damping * data.actuator_velocity[_CONTACT]
+        inner = self._inner
+        inner.observe(self._q, self._qdot)
+        along = self._spring.stiffness * self._length
+        along += self._spring.damping * self._speed
         np.dot(self._surface_rotation, along, out=self._force)
         self._read = self._sensor.read(self._force)
         return Measurement(
-            self._cycle * self.period, self._read, inner.position.copy(), inner.velocity.copy()
+            self._cycle * self.period, self._read, inner.position, inner.twist[:3].copy()
         )
 
     def apply(self, command: FloatArray) -> None:
@@ -132,9 +134,8 @@ class Cell:
         self._saturated = bool((torque != wanted).any())
         self._torque = torque
         self._line.append(torque)
-        ctrl = self.data.ctrl
-        ctrl[:6] = self._heart.ctrl[self._cycle]
-        ctrl[_TOOL_CTRL] = self._line.popleft()
+        self._heart_ctrl[:] = self._heart.ctrl[self._cycle]
+        self._tool_ctrl[:] = self._line.popleft()
         mujoco.mj_step2(self.model, self.data)
         if self._substeps > 1:
             mujoco.mj_step(self.model, self.data, nstep=self._substeps - 1)
@@ -161,15 +162,15 @@ class Cell:
             self.period,
             friction=0.0,
         )
-        data.qpos[:6], data.qvel[:6] = self._heart.q[0], self._heart.qdot[0]
-        data.qpos[6:12] = tool.q[0]
-        data.ctrl[:6] = self._heart.ctrl[0]
+        data.qpos[:6], data.qvel[:6] = self._heart.q, self._heart.qdot
+        self._q[:] = tool.q
+        self._heart_ctrl[:] = self._heart.ctrl[0]
         mujoco.mj_step1(model, data)
         self.measure()
         self._inner.hold()
         # Torques that really hold the tool; the inner loop's own model may be wrong.
         self._torque = data.qfrc_bias[6:12] + self._inner.J[:3].T @ self._force
-        data.ctrl[_TOOL_CTRL] = self._torque
+        self._tool_ctrl[:] = self._torque
         if model.na:
             data.act[:] = self._torque
 

@@ -39,18 +39,29 @@ class InnerLoop:
         """
         self._model, self._tip = arm.model, arm.tip
         self._data = arm.model.createData()
-        self._config, self._coulomb, self._viscous = config, coulomb, viscous
-        self._lead = lead
-        self._free = np.asarray(force_axes, dtype=bool)
-        self._zero, self._goal = np.zeros(6), np.zeros(6)
+        self._coulomb, self._viscous, self._lead = coulomb, viscous, lead
+        self._sign_gain = 1.0 / config.friction_velocity
+        free = np.asarray(force_axes, dtype=np.float64)
+        held = 1.0 - free
+        self._follow = np.concatenate([free, np.zeros(3)])
+        self._damping = np.concatenate(
+            [
+                free * config.velocity_damping + held * config.position_damping,
+                np.full(3, config.orientation_damping),
+            ]
+        )
+        self._stiffness = np.concatenate(
+            [held * config.position_stiffness, np.full(3, config.orientation_stiffness)]
+        )
+        self._q, self._qdot, self._zero = np.zeros(6), np.zeros(6), np.zeros(6)
+        self._command, self._error, self._work = np.zeros(6), np.zeros(6), np.zeros(6)
         self._rotation, self._place = np.eye(3), np.zeros(3)
         self.J = np.zeros((6, 6))
         """Jacobian of the tip at the last `observe`, linear rows first, ``(6, 6)``."""
+        self.twist = np.zeros(6)
+        """Velocity and angular velocity of the tip, ``(6,)`` [m/s, rad/s]."""
         self.position = np.zeros(3)
         """Tip at the last `observe`, ``(3,)`` [m]."""
-        self.velocity = np.zeros(3)
-        """Its velocity, ``(3,)`` [m/s]."""
-        self._q, self._qdot = np.zeros(6), np.zeros(6)
 
     def hold(self) -> None:
         """Take the pose of the last `observe` as the one to be held."""
@@ -65,9 +76,9 @@ class InnerLoop:
         pin.forwardKinematics(model, data, self._q, self._qdot, self._zero)
         pin.computeJointJacobians(model, data)
         pin.updateFramePlacement(model, data, self._tip)
-        self.J[:] = pin.getFrameJacobian(model, data, self._tip, _WORLD_ALIGNED)
-        self.position[:] = data.oMf[self._tip].translation
-        np.dot(self.J[:3], self._qdot, out=self.velocity)
+        self.J = pin.getFrameJacobian(model, data, self._tip, _WORLD_ALIGNED)
+        self.position = data.oMf[self._tip].translation.copy()
+        np.dot(self.J, self._qdot, out=self.twist)
 
     def torque(self, command: FloatArray, force: FloatArray) -> FloatArray:
         """Return joint torques ``(6,)`` [N m], not saturated, for the last `observe`.
@@ -76,28 +87,27 @@ class InnerLoop:
             command: u, acceleration command ``(3,)`` [m/s^2].
             force: measured contact force y ``(3,)`` [N].
         """
-        model, data, c, goal = self._model, self._data, self._config, self._goal
-        drift = pin.getFrameClassicalAcceleration(model, data, self._tip, _WORLD_ALIGNED)
-        v = self.velocity
-        goal[:3] = np.where(
-            self._free,
-            command - c.velocity_damping * v,
-            c.position_stiffness * (self._place - self.position) - c.position_damping * v,
-        )
-        E = self._rotation @ data.oMf[self._tip].rotation.T
-        omega = self.J[3:] @ self._qdot
-        for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):  # sine of the error's angle times axis
-            tilt = 0.5 * (E[j, k] - E[k, j])
-            goal[3 + i] = c.orientation_stiffness * tilt - c.orientation_damping * omega[i]
-        goal -= drift.vector
+        model, data, error, goal = self._model, self._data, self._error, self._work
+        error[:3] = self._place
+        error[:3] -= self.position
+        error[3:] = pin.log3(self._rotation @ data.oMf[self._tip].rotation.T)
+        error *= self._stiffness
+        self._command[:3] = command
+        np.multiply(self._follow, self._command, out=goal)
+        goal += error
+        np.multiply(self._damping, self.twist, out=error)
+        goal -= error
+        goal -= pin.getFrameClassicalAcceleration(model, data, self._tip, _WORLD_ALIGNED).vector
         acceleration = np.linalg.solve(self.J, goal)
         torque = pin.rnea(model, data, self._q, self._qdot, acceleration)
-        torque += self.J[:3].T @ force
+        torque += np.dot(force, self.J[:3])
         # Friction is compensated for the speed that the joint will have when the torque arrives:
         # with the speed measured now, each reversal is answered with the wrong sign for that time.
-        speed = self._qdot + self._lead * acceleration
+        acceleration *= self._lead
+        speed = np.add(acceleration, self._qdot, out=acceleration)
         torque += self._viscous * speed
-        torque += self._coulomb * np.tanh(speed / c.friction_velocity)
+        speed *= self._sign_gain
+        torque += self._coulomb * np.tanh(speed, out=speed)
         return np.asarray(torque)
 
 

@@ -35,12 +35,12 @@ class UnreachableMotionError(PlantError):
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """Robot_Heart's joints at the control instants."""
+    """Where Robot_Heart starts, and what its servos are told at the control instants."""
 
     q: FloatArray
-    """Joint angles, ``(n, 6)`` [rad]."""
+    """Joint angles at the start, ``(6,)`` [rad]."""
     qdot: FloatArray
-    """Joint speeds, ``(n, 6)`` [rad/s]."""
+    """Joint speeds at the start, ``(6,)`` [rad/s]."""
     ctrl: FloatArray
     """Servo commands with velocity and torque feed-forward, ``(n, 6)`` [rad]."""
 
@@ -79,7 +79,7 @@ def programme(
     goal = pin.SE3(data.oMf[arm.tip])
     origin = goal.translation.copy()
     n = displacement.shape[0]
-    q, qdot, ctrl = np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 6))
+    ctrl = np.empty((n, 6))
     angles, zero, twist, wrench = home.copy(), np.zeros(6), np.zeros(6), np.zeros(6)
     speed_limit = spec.joint_speed.si
     coulomb, viscous = friction * spec.coulomb_friction.si, friction * spec.viscous_friction.si
@@ -94,13 +94,14 @@ def programme(
         accelerations = np.linalg.solve(J, wrench - drift)
         torque = pin.rnea(model, data, angles, speeds, accelerations)
         torque = torque - pin.computeGeneralizedGravity(model, data, angles)
-        q[k], qdot[k] = angles, speeds
         torque += coulomb * np.tanh(speeds / _SIGN_SPEED) + viscous * speeds
         ctrl[k] = angles + (SERVO_DAMPING * speeds + torque) / SERVO_STIFFNESS
-        _check(q[k], spec.lower, spec.upper, k * period, "angle", "range")
-        _check(qdot[k], -speed_limit, speed_limit, k * period, "speed", "limit")
+        _check(angles, spec.lower, spec.upper, k * period, "angle", "range")
+        _check(speeds, -speed_limit, speed_limit, k * period, "speed", "limit")
+        if k == 0:
+            start = angles, speeds
         angles = angles + period * speeds
-    return Programme(q, qdot, ctrl)
+    return Programme(*start, ctrl)
 
 
 def _reach(arm: ArmModel, data: object, goal: object, q: FloatArray, time: float) -> FloatArray:

@@ -131,11 +131,12 @@ class Controller:
             decision = solution.x.copy()
             command = problem.command(decision, previous)
             low, high = problem.limits(previous)
-            clipped = np.minimum(np.maximum(command, low), high)
-            tolerance = _CLIP_TOLERANCE * np.minimum(high - low, 1e12)
-            if (np.abs(clipped - command) > tolerance).any():
-                status = Status.CLIPPED
-            command = clipped
+            if (command < low).any() or (command > high).any():
+                clipped = np.minimum(np.maximum(command, low), high)
+                tolerance = _CLIP_TOLERANCE * np.minimum(high - low, 1e12)
+                if (np.abs(clipped - command) > tolerance).any():
+                    status = Status.CLIPPED
+                command = clipped
         else:
             decision = np.zeros(problem.qp.n)
             command = previous.copy()

@@ -84,9 +84,10 @@ class Problem:
         weighted = np.tile(delta, horizon)[:, None] * Theta
         P = 2.0 * (Theta.T @ weighted + np.diag(np.tile(lam, self.moves)))
         rows = [_effective(self._rows(bound)) for bound in bounds]
-        names = [r.name for r in rows]
+        names = [bound.name for bound in bounds]
         if len(set(names)) != len(names):
             raise BoundsError(", ".join(names), "two bounds have the same name")
+        rows = [r for r in rows if r.lower.size]
         self.rows: dict[str, slice] = {}
         start = 0
         for r in rows:
@@ -102,7 +103,7 @@ class Problem:
             np.concatenate([np.zeros(0), *(np.full(r.lower.size, r.linear) for r in rows)]),
             np.concatenate([np.zeros(0), *(np.full(r.lower.size, r.quadratic) for r in rows)]),
         )
-        self.first_command = self._first_command(bounds)
+        self._first_command = self._intersection(bounds)
         self._allocate(weighted, rows)
 
     def _allocate(self, weighted: Array, rows: list[_Rows]) -> None:
@@ -145,14 +146,14 @@ class Problem:
 
     def limits(self, previous: Array) -> tuple[Array, Array]:
         """Return what u(k) may be, ``(n_inputs,)`` each, by command and rate bounds together."""
-        (low, high), (fall, rise) = self.first_command
+        (low, high), (fall, rise) = self._first_command
         # The command bound wins where u(k-1) lies so far outside that both cannot hold.
         return (
             np.minimum(np.maximum(low, previous + fall), high),
             np.maximum(np.minimum(high, previous + rise), low),
         )
 
-    def _first_command(self, bounds: Sequence[Bound]) -> tuple[tuple[Array, Array], ...]:
+    def _intersection(self, bounds: Sequence[Bound]) -> tuple[tuple[Array, Array], ...]:
         """Intersect the bounds on u(k) and on Delta u(k), for `limits`."""
         n_u = self.model.n_inputs
         result = []

@@ -110,7 +110,7 @@ class Solver:
 
     def _check(self, x: Array, y: Array) -> Residuals:
         """Compute residuals and, as a by-product, the violation of each row into ``_s``."""
-        s, price, over, under = self._s, self._price, self._over, self._under
+        s, over, under = self._s, self._over, self._under
         Ax = np.dot(self._A, x, out=self._Ax)
         np.subtract(Ax, self._scaling.u, out=over)
         np.subtract(self._scaling.l, Ax, out=under)
@@ -118,26 +118,29 @@ class Solver:
         np.maximum(s, 0.0, out=s)
         gradient = np.dot(self._P, x, out=self._gradient)
         gradient += self._scaling.q
-        gradient += np.dot(self._At, y, out=self._work)
+        primal = gap = 0.0
+        violated = bool(s.any())
+        if violated:
+            primal = float(np.max(s, where=self._hard, initial=0.0))
+        if violated or y.any():
+            gradient += np.dot(self._At, y, out=self._work)
+            gap = self._gap(y)
         np.abs(gradient, out=gradient)
-        if not s.size:
-            return Residuals(0.0, float(gradient.max(initial=0.0)), 0.0)
-        primal = float(np.max(s, where=self._hard, initial=0.0))
+        return Residuals(primal, float(gradient.max(initial=0.0)), gap)
+
+    def _gap(self, y: Array) -> float:
+        """Return how far multipliers and rows are from complementary; uses up the work arrays."""
+        s, price, over, under = self._s, self._price, self._over, self._under
         # A row away from its bounds must have no multiplier: min(distance, multiplier) is 0 there.
         np.negative(over, out=over)
         np.negative(under, out=under)
-        gap = max(
-            float(np.minimum(over, y).max()),
-            float(np.minimum(under, -y).max()),
-        )
-        if not self._hard.all():
-            # A soft row that gives way by s has the multiplier linear + 2 quadratic s, never more.
-            np.multiply(self._quadratic2, s, out=price)
-            price += self._linear
-            price -= np.abs(y, out=over)
-            price[self._hard] = 0.0
-            gap = max(gap, float(-price.min()), float(np.minimum(price, s).max()))
-        return Residuals(primal, float(gradient.max(initial=0.0)), max(gap, 0.0))
+        gap = max(float(np.minimum(over, y).max()), float(np.minimum(under, -y).max()))
+        # A soft row that gives way by s has the multiplier linear + 2 quadratic s, never more.
+        np.multiply(self._quadratic2, s, out=price)
+        price += self._linear
+        price -= np.abs(y, out=over)
+        price[self._hard] = 0.0
+        return max(gap, float(-price.min()), float(np.minimum(price, s).max()), 0.0)
 
     def _judge(self, status: Status, residuals: Residuals) -> Status:
         if not self._heeds_rows or status is not Status.SOLVED:

@@ -1,0 +1,5 @@
+"""``python -m bench`` is ``pulsempc``."""
+
+from bench.cli import main
+
+main()

@@ -1,0 +1,259 @@
+"""From TOML to a `Scenario` and back: strict, every error with the key it is about."""
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import tomli_w
+from pydantic import TypeAdapter, ValidationError
+
+from scenarios.config import Scenario
+from scenarios.errors import ScenarioError, ScenarioKeyError, UnknownScenarioError, nearest
+
+Table = dict[str, Any]
+_FILES = ("file", "beats")
+"""Keys of the motion that name a file, relative to the scenario's own place."""
+
+
+def shipped() -> dict[str, Path]:
+    """Scenarios that come with the package: name to TOML file."""
+    folder = Path(str(resources.files("scenarios")))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def load_scenario(
+    name: str,
+    *,
+    top: Mapping[str, Any] | None = None,
+    motion: Path | None = None,
+    beats: Path | None = None,
+    settings: Sequence[str] = (),
+) -> Scenario:
+    """Load a shipped scenario by name, or any by the path of its TOML file.
+
+    Args:
+        name: "paper", ... or a path.
+        top: values for top-level keys (duration, seed, backend), in place of the file's.
+        motion: CSV file of a recorded motion, in place of the file's motion but for its axes.
+        beats: CSV file of beat times, in place of the file's.
+        settings: texts ``key.path=value``, the value in TOML's notation, applied last.
+
+    Raises:
+        UnknownScenarioError: there is no such scenario. ScenarioKeyError: a key or value is
+        wrong. ScenarioError: the file cannot be read.
+    """
+    path = _locate(name)
+    table = _read(path)
+    _check_keys(table, Scenario, path.name)
+    table.setdefault("name", path.stem)
+    moved = table.get("motion", {})
+    for key in _FILES:
+        if isinstance(moved.get(key), str):
+            moved[key] = str((path.parent / moved[key]).resolve())
+    if motion is not None and beats is not None:
+        raise ScenarioError("--motion and --beats exclude each other: a recording has its own beats")
+    if motion is not None:
+        moved = {"file": str(motion.resolve())} | {k: moved[k] for k in ("axes",) if k in moved}
+    if beats is not None:
+        moved = {k: v for k, v in moved.items() if k != "file"} | {"beats": str(beats.resolve())}
+    if moved:
+        table["motion"] = moved
+    table |= top or {}
+    keys = [_apply_setting(table, text) for text in settings]
+    try:
+        return check_scenario(table, path.name)
+    except ScenarioKeyError as error:
+        if any(f"{error.key}.".startswith(f"{key}.") for key in keys):
+            raise ScenarioKeyError("--set", error.key, error.reason) from None
+        raise
+
+
+def check_scenario(table: Table, source: str) -> Scenario:
+    """Turn a table of keys into a `Scenario`; ``source`` is what errors call the place.
+
+    Raises:
+        ScenarioKeyError: an unknown key, a wrong type, a value out of range, or values that do
+        not fit one another.
+    """
+    _check_keys(table, Scenario, source)
+    try:
+        # Strict, and through JSON: there an array may become a tuple, but "1" no number.
+        scenario = _ADAPTER.validate_json(json.dumps(table, default=str), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ScenarioKeyError(source, _dotted(first["loc"]), _reason(first)) from None
+    _check_finite(table, source, ())
+    _check_consistent(scenario, source)
+    return scenario
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """Return the scenario as TOML, with every key, that `load_scenario` reads back."""
+    return tomli_w.dumps(_table(scenario))
+
+
+_ADAPTER = TypeAdapter(Scenario)
+
+
+def _locate(name: str) -> Path:
+    known = shipped()
+    if name in known:
+        return known[name]
+    path = Path(name)
+    if path.suffix == ".toml" or path.is_file():
+        return path
+    raise UnknownScenarioError(name, known)
+
+
+def _read(path: Path) -> Table:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ScenarioError(f"{path}: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{path}: not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{path}: not TOML: {error}") from None
+
+
+def _apply_setting(table: Table, text: str) -> str:
+    """Set one key; return its dotted path."""
+    key, separator, value = text.partition("=")
+    parts = key.strip().split(".")
+    if not separator or not all(parts):
+        raise ScenarioError(f"--set {text}: expected key.path=value")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()  # a bare word is taken as text
+    nested: Any = parsed
+    for part in reversed(parts):
+        nested = {part: nested}
+    _check_keys(nested, Scenario, "--set")
+    target = table
+    for part in parts[:-1]:
+        target = target.setdefault(part, {})
+        if not isinstance(target, dict):
+            raise ScenarioKeyError("--set", key, f"'{part}' is not a table")
+    target[parts[-1]] = parsed
+    return ".".join(parts)
+
+
+def _check_keys(table: Any, kind: Any, source: str, path: tuple[str, ...] = ()) -> None:
+    """Refuse keys that no field has, at any depth, with the nearest one that exists."""
+    if not is_dataclass(kind) or not isinstance(table, dict):
+        if isinstance(table, list):  # an array of tables, e.g. the steps of the setpoint
+            for i, item in enumerate(table):
+                _check_keys(item, _element(kind), source, (*path, str(i)))
+        return
+    hints = get_type_hints(kind)
+    names = [f.name for f in fields(kind)]
+    for key, value in table.items():
+        if key not in names:
+            raise ScenarioKeyError(
+                source, ".".join((*path, key)), f"unknown key{nearest(key, names)}"
+            )
+        if is_dataclass(hints[key]) and not isinstance(value, dict):
+            raise ScenarioKeyError(source, ".".join((*path, key)), "must be a table of keys")
+        _check_keys(value, hints[key], source, (*path, key))
+
+
+def _element(kind: Any) -> Any:
+    """Return the type of the elements of ``tuple[X, ...]``, None for anything else."""
+    arguments = get_args(kind)
+    return arguments[0] if arguments else None
+
+
+def _check_finite(value: Any, source: str, path: tuple[str, ...]) -> None:
+    """Refuse NaN anywhere, and infinity where it is no bound."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _check_finite(item, source, (*path, key))
+    elif isinstance(value, list | tuple):
+        for i, item in enumerate(value):
+            _check_finite(item, source, (*path, str(i)))
+    elif isinstance(value, float):
+        bound = path[:2] == ("controller", "bounds") and not path[-1].endswith("penalty")
+        if math.isnan(value) or (math.isinf(value) and not bound):
+            raise ScenarioKeyError(source, ".".join(path), f"must be a finite number, got {value}")
+
+
+def _check_consistent(scenario: Scenario, source: str) -> None:
+    bounds = scenario.controller.bounds
+    intervals = {
+        "command": bounds.command,
+        "rate": bounds.rate,
+        "velocity": bounds.velocity,
+        **{f"force.{axis}": getattr(bounds.force, axis) for axis in "xyz"},
+    }
+    for name, (low, high) in intervals.items():
+        if low > high:
+            raise ScenarioKeyError(
+                source, f"controller.bounds.{name}", f"lower {low:g} exceeds upper {high:g}"
+            )
+    for name in ("command", "rate", "velocity"):
+        low, high = intervals[name]
+        if not low <= 0 <= high:
+            raise ScenarioKeyError(
+                source, f"controller.bounds.{name}", f"must contain 0, got [{low:g}, {high:g}]"
+            )
+    moves, horizon = scenario.controller.control_horizon, scenario.controller.horizon
+    if moves is not None and moves > horizon:
+        raise ScenarioKeyError(
+            source, "controller.control_horizon", f"{moves} exceeds the horizon of {horizon}"
+        )
+    if len(set(scenario.axes)) != len(scenario.axes):
+        raise ScenarioKeyError(source, "axes", f"names an axis twice: {list(scenario.axes)}")
+    for axis in scenario.axes:
+        low, high = intervals[f"force.{axis}"]
+        wished = [("setpoint", getattr(scenario.setpoint, axis))]
+        for i, step in enumerate(scenario.setpoint.steps):
+            wished.append((f"setpoint.steps.{i}", getattr(step, axis)))
+        for place, value in wished:
+            if value is not None and not low <= value <= high:
+                raise ScenarioKeyError(
+                    source,
+                    f"{place}.{axis}",
+                    f"{value:g} N lies outside controller.bounds.force.{axis} = "
+                    f"[{low:g}, {high:g}] N",
+                )
+    times = [step.time for step in scenario.setpoint.steps]
+    if times != sorted(times):
+        raise ScenarioKeyError(source, "setpoint.steps", "must be in the order of their times")
+
+
+def _dotted(location: tuple[int | str, ...]) -> str:
+    return ".".join(str(part) for part in location) or "(file)"
+
+
+def _reason(error: Any) -> str:
+    if error["type"] == "missing":
+        return "is missing"
+    message = error["msg"].removeprefix("Input ").removeprefix("should ")
+    given = error["input"]
+    shown = json.dumps(given) if not isinstance(given, dict) else "a table"
+    return f"must {message}, got {shown}" if error["msg"].startswith("Input should") else message
+
+
+def _table(record: Any) -> Table:
+    """Return a record as nested tables of TOML values, without the keys that are None."""
+    result: Table = {}
+    for f in fields(record):
+        value = getattr(record, f.name)
+        if is_dataclass(value):
+            result[f.name] = _table(value)
+        elif isinstance(value, tuple) and value and is_dataclass(value[0]):
+            result[f.name] = [_table(item) for item in value]
+        elif value is not None:
+            result[f.name] = list(value) if isinstance(value, tuple) else value
+    return result
+
+
+def with_files(scenario: Scenario, **files: str | None) -> Scenario:
+    """Return the scenario with other names for its motion's files."""
+    return replace(scenario, motion=replace(scenario.motion, **files))

@@ -1,0 +1,139 @@
+"""The log of a run: one row a cycle, preallocated, written once as Parquet."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from plant.interface import Measurement, Truth
+from qpmpc.controller import Step
+from qpmpc.status import Status
+from scenarios.motion import Axis
+
+Array = NDArray[np.float64]
+_AXES = ("x", "y", "z")
+_STATUSES = tuple(Status)
+_CODES = {status: code for code, status in enumerate(_STATUSES)}
+
+
+class Log:
+    """What happened in each cycle. Columns are time-major arrays of the length of the run."""
+
+    def __init__(self, cycles: int, axes: Sequence[Axis], bounds: Sequence[str]) -> None:
+        """Make room for ``cycles`` rows.
+
+        Args:
+            cycles: length of the run.
+            axes: axes under force control.
+            bounds: names of the bounds whose violation by the plan is recorded.
+        """
+        n = len(axes)
+        self.axes, self.cycles = tuple(axes), 0
+        self.bounds = tuple(bounds)
+        self.time = np.zeros(cycles)
+        self.setpoint = np.zeros((cycles, n))
+        self.force = np.zeros((cycles, 3))
+        self.force_measured = np.zeros((cycles, 3))
+        self.force_uncompensated = np.full((cycles, 3), np.nan)
+        self.force_predicted = np.zeros((cycles, n))
+        self.tissue = np.zeros((cycles, 3))
+        self.tool = np.zeros((cycles, 3))
+        self.tool_velocity = np.zeros((cycles, 3))
+        self.command = np.zeros((cycles, n))
+        self.torque = np.zeros((cycles, 6))
+        self.torque_saturated = np.zeros(cycles, dtype=bool)
+        self.command_saturated = np.zeros(cycles, dtype=bool)
+        self.slack = np.zeros((cycles, len(self.bounds)))
+        self.residual = np.zeros(cycles)
+        self.iterations = np.zeros(cycles, dtype=np.int32)
+        self.status = np.zeros(cycles, dtype=np.int8)
+        self.solve_time = np.zeros(cycles)
+        self.cycle_time = np.zeros(cycles)
+
+    def record(
+        self,
+        measurement: Measurement,
+        truth: Truth,
+        step: Step,
+        setpoint: Array,
+        saturated: bool,
+        cycle_time: float,
+    ) -> None:
+        """Write the next row: the instant of ``measurement``, what was decided, what it took."""
+        k = self.cycles
+        self.time[k] = measurement.time
+        self.setpoint[k] = setpoint
+        self.force[k] = truth.force
+        self.force_measured[k] = measurement.force
+        self.force_predicted[k] = step.predicted[0]
+        self.tissue[k] = truth.tissue
+        self.tool[k] = measurement.position
+        self.tool_velocity[k] = measurement.velocity
+        self.command[k] = step.command
+        self.torque[k] = truth.torque
+        self.torque_saturated[k] = truth.saturated
+        self.command_saturated[k] = saturated
+        for i, name in enumerate(self.bounds):
+            self.slack[k, i] = step.slack[name].max()
+        residuals = step.residuals
+        self.residual[k] = max(residuals.primal, residuals.dual, residuals.gap)
+        self.iterations[k] = step.iterations
+        self.status[k] = _CODES[step.status]
+        self.solve_time[k] = step.times.solve
+        self.cycle_time[k] = cycle_time
+        self.cycles = k + 1
+
+    def status_counts(self) -> dict[str, int]:
+        """How many cycles ended with each status, those that occurred."""
+        counts = np.bincount(self.status[: self.cycles], minlength=len(_STATUSES))
+        return {str(s): int(c) for s, c in zip(_STATUSES, counts, strict=True) if c}
+
+    def table(self) -> pa.Table:
+        """Return the rows so far; every column's metadata has its unit."""
+        end = self.cycles
+        columns: list[tuple[str, str, pa.Array]] = []
+
+        def add(name: str, unit: str, values: NDArray[np.generic], tags: Sequence[str] = ()) -> None:
+            if tags:
+                for j, tag in enumerate(tags):
+                    columns.append((f"{name}_{tag}", unit, pa.array(values[:end, j])))
+            else:
+                columns.append((name, unit, pa.array(values[:end])))
+
+        joints = tuple(str(j + 1) for j in range(6))
+        add("time", "s", self.time)
+        add("setpoint", "N", self.setpoint, self.axes)
+        add("force", "N", self.force, _AXES)
+        add("force_measured", "N", self.force_measured, _AXES)
+        add("force_uncompensated", "N", self.force_uncompensated, _AXES)
+        add("force_predicted", "N", self.force_predicted, self.axes)
+        add("tissue", "m", self.tissue, _AXES)
+        add("tool", "m", self.tool, _AXES)
+        add("tool_velocity", "m/s", self.tool_velocity, _AXES)
+        add("command", "m/s^2", self.command, self.axes)
+        add("torque", "N m", self.torque, joints)
+        add("torque_saturated", "1", self.torque_saturated)
+        add("command_saturated", "1", self.command_saturated)
+        for i, name in enumerate(self.bounds):
+            add(f"slack_{name}", _UNITS.get(name, "1"), self.slack[:, i])
+        add("residual", "1", self.residual)
+        add("iterations", "1", self.iterations)
+        labels = pa.array([str(s) for s in _STATUSES])
+        codes = pa.array(self.status[:end])
+        columns.append(("status", "1", pa.DictionaryArray.from_arrays(codes, labels)))
+        add("solve_time", "s", self.solve_time)
+        add("cycle_time", "s", self.cycle_time)
+        schema = pa.schema(
+            [pa.field(name, data.type, metadata={"unit": unit}) for name, unit, data in columns]
+        )
+        return pa.table([data for _, _, data in columns], schema=schema)
+
+    def write(self, path: Path) -> None:
+        """Write the rows so far as Parquet."""
+        pq.write_table(self.table(), path, compression="zstd")
+
+
+_UNITS = {"force": "N", "velocity": "m/s", "command": "m/s^2", "rate": "m/s^2"}

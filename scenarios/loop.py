@@ -1,0 +1,105 @@
+"""The loop that joins controller and plant, once per cycle."""
+
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.interface import Plant
+from qpmpc.force_control import ForceController
+from scenarios.log import Log
+from scenarios.setpoint import Setpoint
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+"""Called now and then with cycles done and cycles in all."""
+Stop = Callable[[], bool]
+"""Asked once per cycle whether to stop before the end."""
+
+_EVERY = 250
+"""Cycles between reports of progress."""
+_AXIS = {"x": 0, "y": 1, "z": 2}
+
+
+def control_loop(
+    plant: Plant,
+    controller: ForceController,
+    setpoint: Setpoint,
+    log: Log,
+    cycles: int,
+    *,
+    limits: tuple[float, float],
+    progress: Progress,
+    stop: Stop,
+) -> bool:
+    """Run ``cycles`` cycles or until ``stop``; return whether the end was reached.
+
+    Args:
+        plant: the cell, or anything with its small interface.
+        controller: sees measurements only.
+        setpoint, log: see there.
+        cycles: how many at most.
+        limits: command bound; a command on it counts as saturated [m/s^2].
+        progress, stop: see `Progress`, `Stop`.
+    """
+    index = [_AXIS[axis] for axis in controller.axes]
+    command = np.zeros(3)
+    low, high = limits
+    with quiet_memory():
+        for k in range(cycles):
+            if stop():
+                return False
+            measurement = plant.measure()
+            begin = perf_counter()
+            step = controller.step(
+                measurement.force[index], measurement.velocity[index], setpoint.preview(k)
+            )
+            decided = perf_counter()
+            command[index] = step.command
+            plant.apply(command)
+            applied = perf_counter()
+            controller.prepare()
+            cycle_time = decided - begin + perf_counter() - applied
+            u = step.command
+            saturated = bool((u <= low).any() or (u >= high).any())
+            log.record(measurement, plant.truth(), step, setpoint.force[k], saturated, cycle_time)
+            if k % _EVERY == 0:
+                progress(k, cycles)
+    progress(cycles, cycles)
+    return True
+
+
+def watch_loop(
+    plant: Plant, force: Array, cycles: int, *, progress: Progress, stop: Stop
+) -> bool:
+    """Run without control and write the true force of each cycle into ``force (cycles, 3)``."""
+    command = np.zeros(3)
+    with quiet_memory():
+        for k in range(cycles):
+            if stop():
+                return False
+            plant.measure()
+            force[k] = plant.truth().force
+            plant.apply(command)
+            if k % _EVERY == 0:
+                progress(k, cycles)
+    progress(cycles, cycles)
+    return True
+
+
+@contextmanager
+def quiet_memory() -> Iterator[None]:
+    """Keep the garbage collector out of the loop: with a large heap it costs a tenth of a cycle."""
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if enabled:
+            gc.enable()

@@ -1,0 +1,122 @@
+"""Figures of merit of a run, and the paper's own beside them."""
+
+import importlib.metadata
+import platform
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.experiment import Experiment
+
+Array = NDArray[np.float64]
+Summary = dict[str, Any]
+
+PAPER: Summary = {
+    "source": "Dominici, Poignet, Cortesao, Dombre, Tempier, IROS 2009",
+    "uncompensated": {
+        "x": {"rms": 1.0, "peak_to_peak": 7.0},
+        "y": {"rms": 1.6, "peak_to_peak": 10.0},
+        "z": {"rms": 3.5, "peak_to_peak": 20.0},
+    },
+    "reduction": {
+        "x": {"claimed": 50.0, "rms": 50.0},
+        "y": {"claimed": 75.0, "rms": 75.0},
+        "z": {"claimed": 95.0, "rms": 91.0},
+    },
+}
+"""Figures printed in the paper: N, and % of the uncompensated force (reading 12)."""
+
+_PACKAGES = ("pulsempc", "numpy", "scipy", "mujoco", "pin", "osqp")
+
+
+def summarise(experiment: Experiment) -> Summary:
+    """Return everything that goes into ``summary.json``, with stable keys.
+
+    Errors are force minus setpoint, by the true force, over every cycle of the run; without
+    compensation, force minus the setpoint at the start. Figures that do not exist (an interrupted
+    run) are None.
+    """
+    scenario, log = experiment.scenario, experiment.log
+    end = log.cycles
+    axes: Summary = {}
+    for j, axis in enumerate(log.axes):
+        i = "xyz".index(axis)
+        held = statistics(log.force_uncompensated[:end, i] - log.setpoint[0, j])
+        controlled = statistics(log.force[:end, i] - log.setpoint[:end, j])
+        axes[axis] = {
+            "uncompensated": held,
+            "compensated": controlled,
+            "reduction": {key: _reduction(held[key], controlled[key]) for key in ("rms", "max")},
+        }
+    period = scenario.cell.period
+    return {
+        "scenario": scenario.name,
+        "backend": scenario.backend,
+        "seed": scenario.seed,
+        "cycles": end,
+        "complete": experiment.complete,
+        "axes": axes,
+        "paper": PAPER,
+        "timing": {
+            "solve_us": _percentiles(log.solve_time[:end]),
+            "cycle_us": _percentiles(log.cycle_time[:end]),
+            "misses": int((log.cycle_time[:end] > period).sum()),
+            "wall_s": experiment.wall_time,
+            "real_time_factor": {
+                run: end * period / experiment.wall_time[run] if end else None
+                for run in ("compensated", "uncompensated")
+            },
+        },
+        "saturation": {
+            "torque": _share(log.torque_saturated[:end]),
+            "command": _share(log.command_saturated[:end]),
+        },
+        "increment_rms": {
+            axis: _rms(np.diff(log.command[:end, j], prepend=0.0))
+            for j, axis in enumerate(log.axes)
+        },
+        "status": log.status_counts(),
+        "versions": versions(),
+    }
+
+
+def statistics(error: Array) -> dict[str, float | None]:
+    """RMS, largest magnitude and peak to peak of a force error ``(n,)`` [N]; None without data."""
+    if error.size == 0 or np.isnan(error).any():
+        return {"rms": None, "max": None, "peak_to_peak": None}
+    return {
+        "rms": _rms(error),
+        "max": float(np.abs(error).max()),
+        "peak_to_peak": float(np.ptp(error)),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that the figures depend on."""
+    found = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if values.size else None
+
+
+def _reduction(before: float | None, after: float | None) -> float | None:
+    return 100.0 * (1.0 - after / before) if before and after is not None else None
+
+
+def _share(flags: NDArray[np.bool_]) -> float | None:
+    return float(flags.mean()) if flags.size else None
+
+
+def _percentiles(seconds: Array) -> dict[str, float | None]:
+    if not seconds.size:
+        return dict.fromkeys(("p50", "p99", "p999", "max"))
+    p50, p99, p999 = np.percentile(seconds, [50, 99, 99.9]) * 1e6
+    return {"p50": p50, "p99": p99, "p999": p999, "max": float(seconds.max()) * 1e6}
