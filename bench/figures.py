@@ -33,7 +33,9 @@ def draw_forces(log: Log, path: Path) -> None:
             (middle, controlled, _CONTROLLED, "controlled"),
         ):
             panel.plot(time, force, color=colour, linewidth=0.8, label=what)
-            panel.plot(time, setpoint, color=_SETPOINT, linewidth=0.8, linestyle="--", label="setpoint")
+            panel.plot(
+                time, setpoint, color=_SETPOINT, linewidth=0.8, linestyle="--", label="setpoint"
+            )
             reference = setpoint if panel is middle else log.setpoint[0, j]
             _caption(panel, force - reference)
         lower.plot(time, controlled - setpoint, color=_CONTROLLED, linewidth=0.6)

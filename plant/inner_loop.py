@@ -2,6 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dgesv
 
 from plant.arm_model import ArmModel
 from plant.config import ToolConfig
@@ -43,23 +44,32 @@ class InnerLoop:
         self._sign_gain = 1.0 / config.friction_velocity
         free = np.asarray(force_axes, dtype=np.float64)
         held = 1.0 - free
-        self._follow = np.concatenate([free, np.zeros(3)])
-        self._damping = np.concatenate(
+        stiffness = np.concatenate(
+            [held * config.position_stiffness, [config.orientation_stiffness] * 3]
+        )
+        damping = np.concatenate(
             [
                 free * config.velocity_damping + held * config.position_damping,
-                np.full(3, config.orientation_damping),
+                [config.orientation_damping] * 3,
             ]
         )
-        self._stiffness = np.concatenate(
-            [held * config.position_stiffness, np.full(3, config.orientation_stiffness)]
+        # From command, pose error and twist to the acceleration that is wanted of the tip.
+        self._gains = np.hstack(
+            [
+                np.eye(6)[:, :3] * np.append(free, [1, 1, 1])[:, None],
+                np.diag(stiffness),
+                -np.diag(damping),
+            ]
         )
+        self._inputs = np.zeros(15)
+        self._command, self._error = self._inputs[:3], self._inputs[3:9]
+        self.twist = self._inputs[9:]
+        """Velocity and angular velocity of the tip, ``(6,)`` [m/s, rad/s]."""
+        self._goal = np.zeros(6)
         self._q, self._qdot, self._zero = np.zeros(6), np.zeros(6), np.zeros(6)
-        self._command, self._error, self._work = np.zeros(6), np.zeros(6), np.zeros(6)
         self._rotation, self._place = np.eye(3), np.zeros(3)
         self.J = np.zeros((6, 6))
         """Jacobian of the tip at the last `observe`, linear rows first, ``(6, 6)``."""
-        self.twist = np.zeros(6)
-        """Velocity and angular velocity of the tip, ``(6,)`` [m/s, rad/s]."""
         self.position = np.zeros(3)
         """Tip at the last `observe`, ``(3,)`` [m]."""
 
@@ -87,18 +97,13 @@ class InnerLoop:
             command: u, acceleration command ``(3,)`` [m/s^2].
             force: measured contact force y ``(3,)`` [N].
         """
-        model, data, error, goal = self._model, self._data, self._error, self._work
-        error[:3] = self._place
-        error[:3] -= self.position
+        model, data, error = self._model, self._data, self._error
+        np.subtract(self._place, self.position, out=error[:3])
         error[3:] = pin.log3(self._rotation @ data.oMf[self._tip].rotation.T)
-        error *= self._stiffness
-        self._command[:3] = command
-        np.multiply(self._follow, self._command, out=goal)
-        goal += error
-        np.multiply(self._damping, self.twist, out=error)
-        goal -= error
+        self._command[:] = command
+        goal = np.dot(self._gains, self._inputs, out=self._goal)
         goal -= pin.getFrameClassicalAcceleration(model, data, self._tip, _WORLD_ALIGNED).vector
-        acceleration = np.linalg.solve(self.J, goal)
+        acceleration = dgesv(self.J, goal)[2]
         torque = pin.rnea(model, data, self._q, self._qdot, acceleration)
         torque += np.dot(force, self.J[:3])
         # Friction is compensated for the speed that the joint will have when the torque arrives:

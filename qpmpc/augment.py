@@ -35,7 +35,9 @@ def with_delay(model: LinearModel, cycles: int) -> LinearModel:
     A[n + m :, n : n + registers - m] = np.eye(registers - m)
     B = np.zeros((n + registers, m))
     B[n : n + m] = np.eye(m)
-    return LinearModel(A, B, np.hstack([model.C, np.zeros((model.n_outputs, registers))]), model.period)
+    return LinearModel(
+        A, B, np.hstack([model.C, np.zeros((model.n_outputs, registers))]), model.period
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,8 +44,8 @@ class ObserverConfig:
     velocity_noise: Annotated[float, Gt(0)] = 1e-5
     """Standard deviation of the tool's measured velocity [m/s]."""
     input_drift: Annotated[float, Gt(0)] = 0.3
-    """``constant``, ``fused`` (input error), ``none``: change of the disturbance per cycle
-    [m/s^2], standard deviation."""
+    """``constant``, ``fused`` (input error): change of the disturbance per cycle [m/s^2],
+    standard deviation."""
     input_slope_drift: Annotated[float, Gt(0)] = 300.0
     """``ramp``: change per cycle of the disturbance's slope [m/s^3], standard deviation."""
     tissue_jerk_drift: Annotated[float, Gt(0)] = 100.0

@@ -72,7 +72,7 @@ class Controller:
         problem: Problem,
         observer: KalmanObserver,
         reference: Reference,
-        backend: str | type[Backend] = "osqp",
+        backend: str | type[Backend] = "daqp",
     ) -> None:
         """Join the parts; the backend is set up and primed here.
 
@@ -91,6 +91,7 @@ class Controller:
         self._n_u, self._shape = n_u, (problem.horizon, n_y)
         self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
         self._output = np.zeros(n_y)
+        self._nothing = np.zeros_like(observer.gain[0])
         self._prepared = True
         self.command = np.zeros(n_u)
         """The command of the last step, u(k-1) of the next one, ``(n_inputs,)``."""
@@ -112,7 +113,8 @@ class Controller:
         """Decide the command of this cycle.
 
         Where no usable answer comes (NaN measured, infeasible, limit reached) the command is held
-        and the status tells why.
+        and the status tells why. What is not finite is not blended into the estimate: the observer
+        goes on by prediction alone until a measurement comes.
 
         Args:
             measurement: what the observer measures, ``(n_measured,)``.
@@ -121,20 +123,21 @@ class Controller:
         begin = perf_counter()
         self.prepare()
         problem, previous = self.problem, self.command
-        state = self.observer.correct(measurement)
+        measured = bool(np.dot(measurement, self._nothing) == 0.0)  # NaN and infinity are not
+        state = self.observer.correct(measurement) if measured else self.observer.state
         np.dot(self._C, state, out=self._output)
         problem.update(state, previous, self.reference(preview, self._output))
         updated = perf_counter()
         solution = self.solver.solve(problem.q, problem.l, problem.u)
-        status = solution.status
+        status = solution.status if measured else Status.FAILED
         if status.usable:
             decision = solution.x.copy()
             command = problem.command(decision, previous)
             low, high = problem.limits(previous)
-            if (command < low).any() or (command > high).any():
-                clipped = np.minimum(np.maximum(command, low), high)
+            clipped = np.minimum(np.maximum(command, low), high)
+            if (clipped != command).any():
                 tolerance = _CLIP_TOLERANCE * np.minimum(high - low, 1e12)
-                if (np.abs(clipped - command) > tolerance).any():
+                if status is Status.SOLVED and (np.abs(clipped - command) > tolerance).any():
                     status = Status.CLIPPED
                 command = clipped
         else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -13,10 +13,10 @@ from qpmpc.arrays import Array
 from qpmpc.augment import constant, parabola, ramp, with_delay, with_disturbance
 from qpmpc.backends import Backend
 from qpmpc.bounds import Bound, CommandBound, OutputBound, RateBound
-from qpmpc.config import ControllerConfig, ModelConfig, ObserverConfig
+from qpmpc.config import ControllerConfig, Disturbance, ModelConfig, ObserverConfig
 from qpmpc.contact import contact_model
 from qpmpc.controller import Controller, Step
-from qpmpc.errors import BoundsError
+from qpmpc.errors import BoundsError, UnknownNameError
 from qpmpc.models import LinearModel, stack
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
@@ -53,6 +53,8 @@ def axis_model(
             ``constant`` and ``ramp`` models know only the velocity relative to the tissue.
     """
     kind = observer.disturbance
+    if kind not in get_args(Disturbance):
+        raise UnknownNameError("disturbance", kind, get_args(Disturbance))
     from_force = kind in ("constant", "ramp")
     contact = contact_model(
         model.stiffness,
@@ -105,7 +107,7 @@ class ForceController:
         config: ControllerConfig,
         axes: Sequence[Axis],
         period: float,
-        backend: str | type[Backend] = "osqp",
+        backend: str | type[Backend] = "daqp",
     ) -> None:
         """Build models, observer, problem and solver.
 
@@ -119,6 +121,9 @@ class ForceController:
             QpmpcError: an argument is out of range, or no observer or no backend can be had.
         """
         self.axes = tuple(axes)
+        for name in self.axes:
+            if name not in get_args(Axis):
+                raise UnknownNameError("axis", name, get_args(Axis))
         count = len(self.axes)
         bounded = bool(np.isfinite(config.bounds.velocity).any())
         axis = axis_model(config.model, config.observer, period, tool_velocity=bounded)

@@ -80,6 +80,8 @@ def zero_order_hold(A: ArrayLike, B: ArrayLike, period: float) -> tuple[Array, A
     A = matrix("A", A)
     matrix("A", A, A.shape[0], A.shape[0])
     B = matrix("B", B, rows=A.shape[0])
+    if not (np.isfinite(period) and period > 0):
+        raise ModelError(f"period must be positive, got {period}")
     n, m = B.shape
     generator = np.zeros((n + m, n + m))
     generator[:n, :n], generator[:n, n:] = A, B

@@ -88,9 +88,7 @@ def _check_horizons(horizon: int, control_horizon: int | None) -> int:
     return moves
 
 
-def _responses(
-    model: LinearModel, horizon: int, output: ArrayLike | None
-) -> tuple[Array, Array]:
+def _responses(model: LinearModel, horizon: int, output: ArrayLike | None) -> tuple[Array, Array]:
     """Return Psi ``(N * n_y, n)`` and the Markov parameters C A^i B ``(N, n_y, n_u)``."""
     C = model.C if output is None else matrix("output", output, columns=model.n_states)
     n_y = C.shape[0]

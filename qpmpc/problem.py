@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, vector
 from qpmpc.bounds import Bound, CommandBound, OutputBound, RateBound, over_horizon
-from qpmpc.errors import BoundsError, ModelError
+from qpmpc.errors import BoundsError, ModelError, UnknownNameError
 from qpmpc.models import LinearModel
 from qpmpc.prediction import Prediction, absolute_prediction, prediction
 from qpmpc.program import QuadraticProgram
@@ -69,8 +69,11 @@ class Problem:
             decision: ``"increment"`` or ``"absolute"``.
 
         Raises:
-            ModelError, ShapeError, BoundsError: an argument is out of range or does not fit.
+            ModelError, ShapeError, BoundsError, UnknownNameError: an argument is out of range or
+                does not fit.
         """
+        if decision not in get_args(Decision):
+            raise UnknownNameError("decision", decision, get_args(Decision))
         self.model, self.horizon, self.decision = model, horizon, decision
         self._predict = prediction if decision == "increment" else absolute_prediction
         self.prediction: Prediction = self._predict(model, horizon, control_horizon)
@@ -104,6 +107,7 @@ class Problem:
             np.concatenate([np.zeros(0), *(np.full(r.lower.size, r.quadratic) for r in rows)]),
         )
         self._first_command = self._intersection(bounds)
+        self._rate_bounded = bool(np.isfinite(self._first_command[1]).any())
         self._allocate(weighted, rows)
 
     def _allocate(self, weighted: Array, rows: list[_Rows]) -> None:
@@ -147,6 +151,8 @@ class Problem:
     def limits(self, previous: Array) -> tuple[Array, Array]:
         """Return what u(k) may be, ``(n_inputs,)`` each, by command and rate bounds together."""
         (low, high), (fall, rise) = self._first_command
+        if not self._rate_bounded:
+            return low, high
         # The command bound wins where u(k-1) lies so far outside that both cannot hold.
         return (
             np.minimum(np.maximum(low, previous + fall), high),
@@ -193,7 +199,9 @@ class Problem:
         )
 
     def __repr__(self) -> str:
-        return f"Problem({self.model!r}, horizon={self.horizon}, rows={list(self.rows)}, {self.qp!r})"
+        return (
+            f"Problem({self.model!r}, horizon={self.horizon}, rows={list(self.rows)}, {self.qp!r})"
+        )
 
 
 def _effective(rows: _Rows) -> _Rows:

@@ -53,7 +53,7 @@ class Solver:
     def __init__(
         self,
         qp: QuadraticProgram,
-        backend: str | type[Backend] = "osqp",
+        backend: str | type[Backend] = "daqp",
         groups: Iterable[slice] | None = None,
     ) -> None:
         """Scale ``qp`` and set the backend up on its constant part.
@@ -77,6 +77,7 @@ class Solver:
         self._hard = np.isinf(scaled.linear)
         self._linear = np.where(self._hard, 0.0, scaled.linear)
         self._quadratic2 = 2.0 * scaled.quadratic
+        self._nothing = np.zeros(qp.n)
         self._x, self._gradient, self._work = (np.zeros(qp.n) for _ in range(3))
         self._Ax, self._over, self._under, self._s, self._price = (np.zeros(qp.m) for _ in range(5))
 
@@ -87,13 +88,15 @@ class Solver:
         """
         begin = perf_counter()
         scaling = self._scaling
-        scaling.update(q, l, u)
-        if not _solvable(scaling.q, scaling.l, scaling.u):
+        if not self._solvable(q, l, u):
             return self._failure(Status.FAILED, 0, begin)
+        scaling.update(q, l, u)
         ready = perf_counter()
         raw = self._backend.solve(scaling.q, scaling.l, scaling.u)
         done = perf_counter()
-        if not np.isfinite(np.dot(raw.x, raw.x)):
+        if raw.status is Status.INFEASIBLE:  # there is no answer, whatever stands in its place
+            return self._failure(Status.INFEASIBLE, raw.iterations, begin)
+        if np.dot(raw.x, self._nothing) != 0.0:  # NaN or infinity times 0
             return self._failure(Status.FAILED, raw.iterations, begin)
         residuals = self._check(raw.x, raw.y)
         np.dot(scaling.T, raw.x, out=self._x)
@@ -107,6 +110,11 @@ class Solver:
             ready - begin,
             done - ready,
         )
+
+    def _solvable(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
+        """Whether no vector holds NaN, q no infinity, and no bound is infinite on its wrong side."""
+        finite = np.dot(q, self._nothing) == 0.0  # NaN and infinity times 0 are not 0
+        return bool(finite and l.max(initial=0.0) < np.inf and u.min(initial=0.0) > -np.inf)
 
     def _check(self, x: Array, y: Array) -> Residuals:
         """Compute residuals and, as a by-product, the violation of each row into ``_s``."""
@@ -145,18 +153,23 @@ class Solver:
     def _judge(self, status: Status, residuals: Residuals) -> Status:
         if not self._heeds_rows or status is not Status.SOLVED:
             return status
-        worst = max(residuals.primal, residuals.dual, residuals.gap)
-        return Status.SOLVED if worst <= TOLERANCE else Status.INACCURATE
+        good = (  # one by one: the largest of them may hide a NaN
+            residuals.primal <= TOLERANCE
+            and residuals.dual <= TOLERANCE
+            and residuals.gap <= TOLERANCE
+        )
+        return Status.SOLVED if good else Status.INACCURATE
 
     def _failure(self, status: Status, iterations: int, begin: float) -> Solution:
         self._x.fill(np.nan)
         self._s.fill(np.nan)
         nan = float("nan")
         return Solution(
-            status, self._x, self._s, Residuals(nan, nan, nan), iterations, perf_counter() - begin, 0.0
+            status,
+            self._x,
+            self._s,
+            Residuals(nan, nan, nan),
+            iterations,
+            perf_counter() - begin,
+            0.0,
         )
-
-
-def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741
-    """Whether no vector holds NaN, q no infinity, and no bound is infinite on its wrong side."""
-    return bool(np.isfinite(np.dot(q, q)) and l.max(initial=0.0) < np.inf and u.min(initial=0.0) > -np.inf)

@@ -50,7 +50,7 @@ class Scenario:
     """Simulated time [s]."""
     seed: Annotated[int, Ge(0)] = 0
     """Of the motion and of the sensor noise."""
-    backend: str = "osqp"
+    backend: str = "daqp"
     """Which solver answers the QP."""
     axes: Annotated[tuple[Axis, ...], MinLen(1)] = ("x", "y", "z")
     """Axes under force control; the tool holds its position on the others."""

@@ -56,7 +56,9 @@ def load_scenario(
         if isinstance(moved.get(key), str):
             moved[key] = str((path.parent / moved[key]).resolve())
     if motion is not None and beats is not None:
-        raise ScenarioError("--motion and --beats exclude each other: a recording has its own beats")
+        raise ScenarioError(
+            "--motion and --beats exclude each other: a recording has its own beats"
+        )
     if motion is not None:
         moved = {"file": str(motion.resolve())} | {k: moved[k] for k in ("axes",) if k in moved}
     if beats is not None:

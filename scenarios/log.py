@@ -96,7 +96,9 @@ class Log:
         end = self.cycles
         columns: list[tuple[str, str, pa.Array]] = []
 
-        def add(name: str, unit: str, values: NDArray[np.generic], tags: Sequence[str] = ()) -> None:
+        def add(
+            name: str, unit: str, values: NDArray[np.generic], tags: Sequence[str] = ()
+        ) -> None:
             if tags:
                 for j, tag in enumerate(tags):
                     columns.append((f"{name}_{tag}", unit, pa.array(values[:end, j])))

@@ -72,9 +72,7 @@ def control_loop(
     return True
 
 
-def watch_loop(
-    plant: Plant, force: Array, cycles: int, *, progress: Progress, stop: Stop
-) -> bool:
+def watch_loop(plant: Plant, force: Array, cycles: int, *, progress: Progress, stop: Stop) -> bool:
     """Run without control and write the true force of each cycle into ``force (cycles, 3)``."""
     command = np.zeros(3)
     with quiet_memory():

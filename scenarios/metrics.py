@@ -27,7 +27,7 @@ PAPER: Summary = {
 }
 """Figures printed in the paper: N, and % of the uncompensated force (reading 12)."""
 
-_PACKAGES = ("pulsempc", "numpy", "scipy", "mujoco", "pin", "osqp")
+_PACKAGES = ("pulsempc", "numpy", "scipy", "mujoco", "pin", "osqp", "daqp")
 
 
 def summarise(experiment: Experiment) -> Summary:
