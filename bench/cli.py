@@ -32,7 +32,7 @@ def run(
     beats: Path | None = None,
     duration: float | None = None,
     seed: int | None = None,
-    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),  # noqa: A002 - the option's name
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
     out: Path | None = None,
     json: bool = False,
 ) -> int:

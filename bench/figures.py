@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from scenarios.log import Log
+from scenarios.log import Array, Log
 
 # Okabe and Ito's palette: told apart by everyone.
 _HELD, _CONTROLLED, _SETPOINT = "#D55E00", "#0072B2", "#222222"
@@ -27,7 +26,6 @@ def draw_forces(log: Log, path: Path) -> None:
         held, controlled = log.force_uncompensated[:end, i], log.force[:end, i]
         upper, middle, lower = grid[:, j]
         middle.sharey(upper)
-        upper.set_title(f"{axis} axis")
         for panel, force, colour, what in (
             (upper, held, _HELD, "held still"),
             (middle, controlled, _CONTROLLED, "controlled"),
@@ -37,22 +35,19 @@ def draw_forces(log: Log, path: Path) -> None:
                 time, setpoint, color=_SETPOINT, linewidth=0.8, linestyle="--", label="setpoint"
             )
             reference = setpoint if panel is middle else log.setpoint[0, j]
-            _caption(panel, force - reference)
+            panel.set_title(f"{axis}, {what}: error {_figures(force - reference)}", fontsize=9)
         lower.plot(time, controlled - setpoint, color=_CONTROLLED, linewidth=0.6)
+        lower.set_title(f"{axis}, error of the controlled force, enlarged", fontsize=9)
         lower.set_xlabel("time [s]")
         for panel in (upper, middle, lower):
             panel.grid(alpha=0.3)
-    for row, what in enumerate(("held still", "controlled", "error, enlarged")):
-        grid[row, 0].set_ylabel(f"contact force [N]\n{what}")
+    for row, what in enumerate(("contact force [N]", "contact force [N]", "force error [N]")):
+        grid[row, 0].set_ylabel(what)
+    grid[0, 0].legend(loc="lower right", fontsize=8)
     figure.savefig(path)
 
 
-def _caption(panel: Axes, error: np.ndarray) -> None:
-    if error.size and np.isfinite(error).all():
-        text = f"error: RMS {np.sqrt(np.mean(error**2)):.3f} N, max {np.abs(error).max():.2f} N"
-    else:
-        text = "not run"
-    panel.text(
-        0.02, 0.97, text, transform=panel.transAxes, va="top", fontsize=9,
-        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none"},
-    )  # fmt: skip
+def _figures(error: Array) -> str:
+    if not error.size or np.isnan(error).any():
+        return "not known, the run was interrupted"
+    return f"RMS {np.sqrt(np.mean(error**2)):.3f} N, max {np.abs(error).max():.2f} N"

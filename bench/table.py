@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from qpmpc.backends import BackendInfo
@@ -11,22 +12,27 @@ from scenarios.metrics import PAPER, Summary
 
 def force_table(summary: Summary) -> Table:
     """The paper's table of results, and the paper's own figures beside it."""
-    table = Table(title=f"Contact force error [N], scenario {summary['scenario']}")
-    table.add_column("axis")
-    for column in ("RMS", "max", "peak to peak"):
-        table.add_column(f"{column}\nheld still", justify="right")
-        table.add_column(f"{column}\ncontrolled", justify="right")
-    table.add_column("reduction\nRMS", justify="right")
-    table.add_column("the paper's\nRMS, reduction", justify="right")
+    title = f"Contact force error [N], scenario {summary['scenario']}"
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
+    table.add_column("axis", vertical="bottom")
+    for heading in (
+        "held still\nRMS",
+        "\nmax",
+        "\np-p",
+        "controlled\nRMS",
+        "\nmax",
+        "\np-p",
+        "reduction\nof the RMS",
+        "in the\npaper",
+    ):
+        table.add_column(heading, justify="right", no_wrap=True)
     for axis, figures in summary["axes"].items():
         held, controlled = figures["uncompensated"], figures["compensated"]
-        cells = [axis]
-        for key in ("rms", "max", "peak_to_peak"):
-            cells += [_number(held[key], ".2f"), _number(controlled[key], ".3f")]
+        cells = [_number(held[key], ".2f") for key in ("rms", "max", "peak_to_peak")]
+        cells += [_number(controlled[key], ".3f") for key in ("rms", "max", "peak_to_peak")]
         cells.append(_number(figures["reduction"]["rms"], ".2f", " %"))
-        before = PAPER["uncompensated"][axis]["rms"]
-        cells.append(f"{before:.1f} N, {PAPER['reduction'][axis]['rms']:.0f} %")
-        table.add_row(*cells)
+        cells.append(f"{PAPER['reduction'][axis]['rms']:.0f} %")
+        table.add_row(axis, *cells)
     return table
 
 
@@ -54,7 +60,9 @@ def timing_lines(summary: Summary) -> list[str]:
 
 def scenario_table(scenarios: Iterable[Scenario]) -> Table:
     """The shipped scenarios."""
-    table = Table("name", "axes", "duration", "backend", "what it is", title="Scenarios")
+    table = Table(
+        "name", "axes", "duration", "backend", "what it is", title="Scenarios", box=SIMPLE_HEAD
+    )
     for s in scenarios:
         table.add_row(s.name, "".join(s.axes), f"{s.duration:g} s", s.backend, s.description)
     return table
@@ -62,7 +70,7 @@ def scenario_table(scenarios: Iterable[Scenario]) -> Table:
 
 def backend_table(backends: Iterable[BackendInfo]) -> Table:
     """The backends, installed or not."""
-    table = Table("name", "package", "installed", "what it is", title="Backends")
+    table = Table("name", "package", "installed", "what it is", title="Backends", box=SIMPLE_HEAD)
     for b in backends:
         table.add_row(b.name, b.package, b.version or f"no: {b.install}", b.summary)
     return table

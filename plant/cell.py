@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import mujoco
@@ -11,13 +12,14 @@ from plant.arm_model import build_arm_model, home_configuration
 from plant.config import CellConfig
 from plant.errors import PlantError
 from plant.inner_loop import InnerLoop
-from plant.interface import Measurement, Truth
+from plant.interface import Measurement, TissueMotion, Truth
 from plant.mjcf import cell_mjcf
 from plant.playback import Programme, programme
 from plant.sensors import SENSORS, ForceSensor
 from plant.viper import HEART, TOOL, VIPER_S650, FloatArray
 
-_AXES = ("x", "y", "z")
+Axis = Literal["x", "y", "z"]
+_AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 
 class Cell:
@@ -31,21 +33,18 @@ class Cell:
     def __init__(
         self,
         config: CellConfig,
-        displacement: FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
+        motion: TissueMotion,
         *,
         force: FloatArray,
         seed: int,
-        axes: Sequence[Literal["x", "y", "z"]] = _AXES,
+        axes: Sequence[Axis] = _AXES,
         heart: Programme | None = None,
     ) -> None:
         """Build both arms and put them into contact.
 
         Args:
             config: see there.
-            displacement, velocity, acceleration: motion of the tissue from home at the control
-                instants, ``(n, 3)`` each [m, m/s, m/s^2].
+            motion: of the tissue from home at the control instants.
             force: contact force to start with, ``(3,)`` [N].
             seed: of the sensor noise.
             axes: which axes follow the command; the tool holds its position on the others.
@@ -55,9 +54,9 @@ class Cell:
             UnreachableMotionError: Robot_Heart cannot play the motion.
         """
         self.period = config.period
-        self.cycles = displacement.shape[0]
+        self.cycles = motion.position.shape[0]
         """How many cycles the motion lasts."""
-        self._heart = heart or heart_programme(config, displacement, velocity, acceleration)
+        self._heart = heart or heart_programme(config, motion)
         self._substeps = config.substeps
         flaws = config.imperfections
         self.model = mujoco.MjModel.from_xml_string(
@@ -95,7 +94,7 @@ class Cell:
         self._cycle = 0
         self._force, self._read = np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
-        self._place(displacement[0] + np.asarray(force) / config.contact.stiffness)
+        self._place(motion.position[0] + np.asarray(force) / config.contact.stiffness)
         self._line = deque([self._torque] * flaws.delay)
 
     def close_brakes(self) -> None:
@@ -151,15 +150,12 @@ class Cell:
         """Set both arms to the start of the motion and the tool at rest at ``displacement``."""
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
-        still = np.zeros((1, 3))
         tool = programme(
             VIPER_S650,
             build_arm_model(VIPER_S650, TOOL),
             home_configuration(VIPER_S650, TOOL),
-            displacement[None],
-            still,
-            still,
-            self.period,
+            _Rest(displacement[None]),
+            period=self.period,
             friction=0.0,
         )
         data.qpos[:6], data.qvel[:6] = self._heart.q, self._heart.qdot
@@ -175,18 +171,22 @@ class Cell:
             data.act[:] = self._torque
 
 
-def heart_programme(
-    config: CellConfig, displacement: FloatArray, velocity: FloatArray, acceleration: FloatArray
-) -> Programme:
+def heart_programme(config: CellConfig, motion: TissueMotion) -> Programme:
     """Return Robot_Heart's programme for a motion, see `plant.playback.programme`."""
-    friction = config.imperfections.friction
     return programme(
         VIPER_S650,
         build_arm_model(VIPER_S650, HEART),
         home_configuration(VIPER_S650, HEART),
-        displacement,
-        velocity,
-        acceleration,
-        config.period,
-        friction=friction,
+        motion,
+        period=config.period,
+        friction=config.imperfections.friction,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rest:
+    """A `TissueMotion` of one sample, at rest."""
+
+    position: FloatArray
+    velocity: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    acceleration: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
 from plant.arm_model import ArmModel
@@ -27,7 +28,7 @@ class InnerLoop:
         coulomb: FloatArray,
         viscous: FloatArray,
         lead: float,
-        force_axes: FloatArray,
+        force_axes: NDArray[np.bool_],
     ) -> None:
         """Prepare.
 

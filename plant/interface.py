@@ -37,6 +37,25 @@ class Truth:
     """Whether a torque was cut at its limit."""
 
 
+class TissueMotion(Protocol):
+    """Motion of the tissue from home at the control instants, time-major."""
+
+    @property
+    def position(self) -> FloatArray:
+        """Displacement, ``(n, 3)`` [m]."""
+        ...
+
+    @property
+    def velocity(self) -> FloatArray:
+        """Its first derivative, ``(n, 3)`` [m/s]."""
+        ...
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """Its second derivative, ``(n, 3)`` [m/s^2]."""
+        ...
+
+
 class Plant(Protocol):
     """A plant under force control: measure, decide, apply, once per period."""
 

@@ -7,6 +7,7 @@ import pinocchio as pin
 
 from plant.arm_model import ArmModel
 from plant.errors import PlantError
+from plant.interface import TissueMotion
 from plant.mjcf import SERVO_DAMPING, SERVO_STIFFNESS
 from plant.viper import ArmSpec, FloatArray
 
@@ -49,11 +50,9 @@ def programme(
     spec: ArmSpec,
     arm: ArmModel,
     home: FloatArray,
-    displacement: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    period: float,
+    motion: TissueMotion,
     *,
+    period: float,
     friction: float,
 ) -> Programme:
     """Turn a motion of the tissue into joint servo commands.
@@ -65,8 +64,7 @@ def programme(
         spec: the arm's ranges and speeds.
         arm: its exact model, in the world's frame.
         home: joint angles at zero displacement, ``(6,)`` [rad].
-        displacement, velocity, acceleration: of the tissue from home, ``(n, 3)`` each
-            [m, m/s, m/s^2].
+        motion: of the tissue from home.
         period: between samples [s].
         friction: joint friction as a multiple of the spec's; the servos feed it forward [-].
 
@@ -78,16 +76,16 @@ def programme(
     pin.framesForwardKinematics(model, data, home)
     goal = pin.SE3(data.oMf[arm.tip])
     origin = goal.translation.copy()
-    n = displacement.shape[0]
+    n = motion.position.shape[0]
     ctrl = np.empty((n, 6))
     angles, zero, twist, wrench = home.copy(), np.zeros(6), np.zeros(6), np.zeros(6)
     speed_limit = spec.joint_speed.si
     coulomb, viscous = friction * spec.coulomb_friction.si, friction * spec.viscous_friction.si
     for k in range(n):
-        goal.translation = origin + displacement[k]
+        goal.translation = origin + motion.position[k]
         angles = _reach(arm, data, goal, angles, k * period)
         J = pin.computeFrameJacobian(model, data, angles, arm.tip, frame)
-        twist[:3], wrench[:3] = velocity[k], acceleration[k]
+        twist[:3], wrench[:3] = motion.velocity[k], motion.acceleration[k]
         speeds = np.linalg.solve(J, twist)
         pin.forwardKinematics(model, data, angles, speeds, zero)
         drift = pin.getFrameClassicalAcceleration(model, data, arm.tip, frame).vector
@@ -96,8 +94,8 @@ def programme(
         torque = torque - pin.computeGeneralizedGravity(model, data, angles)
         torque += coulomb * np.tanh(speeds / _SIGN_SPEED) + viscous * speeds
         ctrl[k] = angles + (SERVO_DAMPING * speeds + torque) / SERVO_STIFFNESS
-        _check(angles, spec.lower, spec.upper, k * period, "angle", "range")
-        _check(speeds, -speed_limit, speed_limit, k * period, "speed", "limit")
+        _check(angles, spec.lower, spec.upper, k * period, _ANGLE)
+        _check(speeds, -speed_limit, speed_limit, k * period, _SPEED)
         if k == 0:
             start = angles, speeds
         angles = angles + period * speeds
@@ -121,15 +119,15 @@ def _reach(arm: ArmModel, data: object, goal: object, q: FloatArray, time: float
     raise UnreachableMotionError(time, None, "no posture of the arm reaches the point")
 
 
+_ANGLE = "joint {} would need to stand at {:.0f} deg, its range is {:.0f}..{:.0f} deg"
+_SPEED = "joint {} would need to turn at {:.0f} deg/s, its limit is {:.0f}..{:.0f} deg/s"
+
+
 def _check(
-    value: FloatArray, lower: FloatArray, upper: FloatArray, time: float, what: str, limit: str
+    value: FloatArray, lower: FloatArray, upper: FloatArray, time: float, reason: str
 ) -> None:
     outside = np.flatnonzero((value < lower) | (value > upper))
     if outside.size:
         j = int(outside[0])
-        unit = "deg" if what == "angle" else "deg/s"
-        low, high, at = (float(np.rad2deg(v[j])) for v in (lower, upper, value))
-        reason = (
-            f"joint {j + 1} would need {what} {at:.0f} {unit}, its {limit} is {low:.0f}..{high:.0f}"
-        )
-        raise UnreachableMotionError(time, j + 1, reason)
+        figures = (float(np.rad2deg(v[j])) for v in (value, lower, upper))
+        raise UnreachableMotionError(time, j + 1, reason.format(j + 1, *figures))

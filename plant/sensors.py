@@ -53,7 +53,7 @@ class ForceSensor:
             self._generator.standard_normal(out=self._block)
             self._block *= self._noise
             self._next = 0
-        reading = force + self._block[self._next]
+        reading: FloatArray = force + self._block[self._next]
         self._next += 1
         if self._resolution:
             reading /= self._resolution

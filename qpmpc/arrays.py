@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qpmpc.errors import ModelError, ShapeError
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 def matrix(
@@ -50,6 +53,11 @@ def vector(name: str, value: ArrayLike, size: int, *, finite: bool = True) -> Ar
     if np.isnan(array).any() or (finite and not np.isfinite(array).all()):
         raise ModelError(f"{name} holds NaN{' or infinity' if finite else ''}")
     return _frozen(array)
+
+
+def all_finite(values: Array) -> bool:
+    """Whether a short vector holds neither NaN nor infinity; faster than numpy's, and silent."""
+    return math.isfinite(sum(values.tolist()))
 
 
 def _numeric(name: str, value: ArrayLike) -> Array:

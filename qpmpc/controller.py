@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qpmpc.arrays import Array
+from qpmpc.arrays import Array, all_finite
 from qpmpc.backends import Backend
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
@@ -17,7 +17,7 @@ from qpmpc.solver import Residuals, Solver
 from qpmpc.status import Status
 
 Reference = Callable[[Array, Array], Array]
-"""Maps setpoint preview ``(N + 1, n_outputs)`` and output ``(n_outputs,)`` to w ``(N, n_outputs)``."""
+"""From preview ``(N + 1, n_outputs)`` and output ``(n_outputs,)`` to w ``(N, n_outputs)``."""
 
 _CLIP_TOLERANCE = 1e-6
 """Share of the room between the bounds that a solver's tolerance may cost without a word."""
@@ -91,7 +91,6 @@ class Controller:
         self._n_u, self._shape = n_u, (problem.horizon, n_y)
         self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
         self._output = np.zeros(n_y)
-        self._nothing = np.zeros_like(observer.gain[0])
         self._prepared = True
         self.command = np.zeros(n_u)
         """The command of the last step, u(k-1) of the next one, ``(n_inputs,)``."""
@@ -123,7 +122,7 @@ class Controller:
         begin = perf_counter()
         self.prepare()
         problem, previous = self.problem, self.command
-        measured = bool(np.dot(measurement, self._nothing) == 0.0)  # NaN and infinity are not
+        measured = all_finite(measurement)
         state = self.observer.correct(measurement) if measured else self.observer.state
         np.dot(self._C, state, out=self._output)
         problem.update(state, previous, self.reference(preview, self._output))

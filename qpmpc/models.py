@@ -47,17 +47,17 @@ class LinearModel:
     @property
     def n_states(self) -> int:
         """Number of states."""
-        return self.A.shape[0]
+        return int(self.A.shape[0])
 
     @property
     def n_inputs(self) -> int:
         """Number of inputs."""
-        return self.B.shape[1]
+        return int(self.B.shape[1])
 
     @property
     def n_outputs(self) -> int:
         """Number of outputs."""
-        return self.C.shape[0]
+        return int(self.C.shape[0])
 
     def __repr__(self) -> str:
         return (

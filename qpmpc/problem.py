@@ -183,17 +183,17 @@ class Problem:
             )  # fmt: skip
         lower, upper = over_horizon(bound, self.moves, n_u)
         size = self.moves * n_u
-        identity, held = np.eye(size), np.tile(np.eye(n_u), (self.moves, 1))
-        summed = np.kron(np.tril(np.ones((self.moves, self.moves))), np.eye(n_u))
-        first = np.vstack([np.eye(n_u), np.zeros((size - n_u, n_u))])
-        if isinstance(bound, CommandBound) == (self.decision == "increment"):
-            # commands as sums of increments, or increments as differences of commands
-            decision, previous = (
-                (summed, held) if self.decision == "increment"
-                else (np.linalg.inv(summed), -first)
-            )  # fmt: skip
-        else:
-            decision, previous = identity, np.zeros((size, n_u))
+        alone: tuple[Array, Array] = np.eye(size), np.zeros((size, n_u))
+        increments = self.decision == "increment"
+        if isinstance(bound, CommandBound):  # commands: sums of increments, or the decision itself
+            steps = np.tril(np.ones((self.moves, self.moves)))
+            sums = np.asarray(np.kron(steps, np.eye(n_u)), dtype=np.float64)
+            held = np.tile(np.eye(n_u), (self.moves, 1))
+            decision, previous = (sums, held) if increments else alone
+        else:  # increments: the decision itself, or differences of commands
+            first = np.vstack([-np.eye(n_u), np.zeros((size - n_u, n_u))])
+            differences = np.eye(size) - np.eye(size, k=-n_u)
+            decision, previous = alone if increments else (differences, first)
         return _Rows(
             bound.name, decision, np.zeros((size, n)), previous, lower.ravel(), upper.ravel()
         )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from qpmpc.arrays import Array, matrix, vector
+from qpmpc.arrays import Array, Indices, matrix, vector
 from qpmpc.errors import BoundsError, ModelError
 
 
@@ -35,10 +35,10 @@ class QuadraticProgram:
     """Lower bounds, ``(m,)``, may be -inf."""
     u: Array
     """Upper bounds, ``(m,)``, may be +inf."""
-    linear: Array | float = np.inf
-    """Penalty per unit of violation of each row, ``(m,)`` or one for all; infinite: hard."""
-    quadratic: Array | float = 0.0
-    """Penalty per squared unit of violation of each row, ``(m,)`` or one for all."""
+    linear: Array = field(default_factory=lambda: np.array(np.inf))
+    """Penalty per unit of violation of each row, ``(m,)`` or a scalar for all; infinite: hard."""
+    quadratic: Array = field(default_factory=lambda: np.array(0.0))
+    """Penalty per squared unit of violation of each row, ``(m,)`` or a scalar for all."""
 
     def __post_init__(self) -> None:
         P = matrix("P", self.P)
@@ -69,15 +69,15 @@ class QuadraticProgram:
     @property
     def n(self) -> int:
         """Number of variables."""
-        return self.P.shape[0]
+        return int(self.P.shape[0])
 
     @property
     def m(self) -> int:
         """Number of rows."""
-        return self.A.shape[0]
+        return int(self.A.shape[0])
 
     @property
-    def soft(self) -> Array:
+    def soft(self) -> Indices:
         """Indices of the soft rows, ``(n_soft,)``."""
         return np.flatnonzero(np.isfinite(self.linear))
 

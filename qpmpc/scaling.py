@@ -69,4 +69,4 @@ def _whitening(P: Array) -> Array:
         upper = np.linalg.cholesky(P).T
     except np.linalg.LinAlgError:
         return np.diag(1.0 / np.sqrt(np.where(np.diag(P) > 0, np.diag(P), 1.0)))
-    return solve_triangular(upper, np.eye(P.shape[0]))
+    return np.asarray(solve_triangular(upper, np.eye(P.shape[0])))

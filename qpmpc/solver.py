@@ -8,7 +8,7 @@ from time import perf_counter
 
 import numpy as np
 
-from qpmpc.arrays import Array
+from qpmpc.arrays import Array, all_finite
 from qpmpc.backends import Backend, backend_class
 from qpmpc.program import QuadraticProgram
 from qpmpc.scaling import Scaling
@@ -77,7 +77,6 @@ class Solver:
         self._hard = np.isinf(scaled.linear)
         self._linear = np.where(self._hard, 0.0, scaled.linear)
         self._quadratic2 = 2.0 * scaled.quadratic
-        self._nothing = np.zeros(qp.n)
         self._x, self._gradient, self._work = (np.zeros(qp.n) for _ in range(3))
         self._Ax, self._over, self._under, self._s, self._price = (np.zeros(qp.m) for _ in range(5))
 
@@ -88,7 +87,7 @@ class Solver:
         """
         begin = perf_counter()
         scaling = self._scaling
-        if not self._solvable(q, l, u):
+        if not _solvable(q, l, u):
             return self._failure(Status.FAILED, 0, begin)
         scaling.update(q, l, u)
         ready = perf_counter()
@@ -96,7 +95,7 @@ class Solver:
         done = perf_counter()
         if raw.status is Status.INFEASIBLE:  # there is no answer, whatever stands in its place
             return self._failure(Status.INFEASIBLE, raw.iterations, begin)
-        if np.dot(raw.x, self._nothing) != 0.0:  # NaN or infinity times 0
+        if not all_finite(raw.x):
             return self._failure(Status.FAILED, raw.iterations, begin)
         residuals = self._check(raw.x, raw.y)
         np.dot(scaling.T, raw.x, out=self._x)
@@ -110,11 +109,6 @@ class Solver:
             ready - begin,
             done - ready,
         )
-
-    def _solvable(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
-        """Whether no vector holds NaN, q no infinity, and no bound is infinite on its wrong side."""
-        finite = np.dot(q, self._nothing) == 0.0  # NaN and infinity times 0 are not 0
-        return bool(finite and l.max(initial=0.0) < np.inf and u.min(initial=0.0) > -np.inf)
 
     def _check(self, x: Array, y: Array) -> Residuals:
         """Compute residuals and, as a by-product, the violation of each row into ``_s``."""
@@ -173,3 +167,8 @@ class Solver:
             perf_counter() - begin,
             0.0,
         )
+
+
+def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741
+    """Whether no vector holds NaN, and infinity stands only where a bound is left out."""
+    return bool(all_finite(q) and l.max(initial=0.0) < np.inf and u.min(initial=0.0) > -np.inf)

@@ -13,7 +13,7 @@ class Status(StrEnum):
     CLIPPED = "clipped"
     """The answer left the bounds on the command and was clipped to them."""
     INACCURATE = "inaccurate"
-    """The solver called its answer optimal, or stopped early with one; the check found it is not."""
+    """The solver called its answer optimal, and the check found that it is not."""
     ITERATION_LIMIT = "iteration_limit"
     """Stopped at the limit of iterations or time, without an answer that passes the check."""
     INFEASIBLE = "infeasible"

@@ -45,12 +45,11 @@ def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experim
     controller = ForceController(scenario.controller, scenario.axes, period, scenario.backend)
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
     report("setup", 0, 1)
-    path = (motion.position, motion.velocity, motion.acceleration)
-    heart = heart_programme(scenario.cell, *path)
+    heart = heart_programme(scenario.cell, motion)
     wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
     cell, held = (
         Cell(
-            scenario.cell, *path, force=wished, seed=scenario.seed, axes=scenario.axes, heart=heart
+            scenario.cell, motion, force=wished, seed=scenario.seed, axes=scenario.axes, heart=heart
         )
         for _ in range(2)
     )

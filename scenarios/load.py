@@ -4,7 +4,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -254,8 +254,3 @@ def _table(record: Any) -> Table:
         elif value is not None:
             result[f.name] = list(value) if isinstance(value, tuple) else value
     return result
-
-
-def with_files(scenario: Scenario, **files: str | None) -> Scenario:
-    """Return the scenario with other names for its motion's files."""
-    return replace(scenario, motion=replace(scenario.motion, **files))

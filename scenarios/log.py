@@ -58,6 +58,7 @@ class Log:
         measurement: Measurement,
         truth: Truth,
         step: Step,
+        *,
         setpoint: Array,
         saturated: bool,
         cycle_time: float,

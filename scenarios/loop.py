@@ -65,7 +65,14 @@ def control_loop(
             cycle_time = decided - begin + perf_counter() - applied
             u = step.command
             saturated = bool((u <= low).any() or (u >= high).any())
-            log.record(measurement, plant.truth(), step, setpoint.force[k], saturated, cycle_time)
+            log.record(
+                measurement,
+                plant.truth(),
+                step,
+                setpoint=setpoint.force[k],
+                saturated=saturated,
+                cycle_time=cycle_time,
+            )
             if k % _EVERY == 0:
                 progress(k, cycles)
     progress(cycles, cycles)

@@ -5,11 +5,13 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from scenarios.errors import ScenarioError
 from scenarios.experiment import Experiment
-from scenarios.load import dump_scenario, with_files
+from scenarios.load import dump_scenario
 from scenarios.metrics import Summary
 
 
@@ -53,7 +55,8 @@ def write_run(
             source = getattr(scenario.motion, key)
             if source is not None:
                 shutil.copyfile(source, partial / f"{key}.csv")
-                scenario = with_files(scenario, **{key: f"{key}.csv"})
+                copied: dict[str, Any] = {key: f"{key}.csv"}
+                scenario = replace(scenario, motion=replace(scenario.motion, **copied))
         (partial / "config.toml").write_text(dump_scenario(scenario), encoding="utf-8")
         (partial / "summary.json").write_text(to_json(summary), encoding="utf-8")
         experiment.log.write(partial / "log.parquet")

@@ -16,7 +16,7 @@ from qpmpc.status import Status
 _SOFT = 8
 """DAQP's mark of a row that may give way."""
 _FLAT = 1e-10
-"""Least quadratic penalty, where DAQP wants one: far below what the linear one is in the problem."""
+"""Least quadratic penalty, where DAQP wants one: far below any effect of the linear one."""
 _STATUS = {
     2: Status.SOLVED,  # with soft rows giving way
     1: Status.SOLVED,

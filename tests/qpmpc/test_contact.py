@@ -42,7 +42,7 @@ def test_closed_form_of_the_hold(stiffness: float, damping: float, period: float
     np.testing.assert_allclose(contact.model.A, [[1, stiffness * travel], [0, decay]], rtol=1e-12)
     np.testing.assert_allclose(contact.model.B, [[stiffness * gain], [travel]], rtol=1e-9)
     np.testing.assert_allclose(contact.load, contact.model.B)
-    np.testing.assert_allclose(contact.tissue, [[-stiffness * period], [0]], atol=1e-16)
+    np.testing.assert_allclose(contact.tissue, [[-stiffness * period], [0]], atol=1e-14)
     np.testing.assert_array_equal(contact.model.C, [[1, 0]])
     np.testing.assert_array_equal(contact.velocity, [[0, 1]])
     assert contact.model.period == period
