@@ -10,15 +10,17 @@ import numpy as np
 
 from plant.arm_model import build_arm_model, home_configuration
 from plant.config import CellConfig
-from plant.errors import PlantError
+from plant.errors import PlantError, UnstableSimulationError
 from plant.inner_loop import InnerLoop
 from plant.interface import Measurement, TissueMotion, Truth
-from plant.mjcf import cell_mjcf
+from plant.mjcf import SERVO_STIFFNESS, cell_mjcf
 from plant.playback import Programme, programme
 from plant.sensors import SENSORS, ForceSensor
 from plant.viper import HEART, TOOL, VIPER_S650, FloatArray
 
 Axis = Literal["x", "y", "z"]
+_ABSURD = 1e4
+"""Contact force that no run reaches that is still under control [N]."""
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 
@@ -91,11 +93,10 @@ class Cell:
         self._length, self._speed = data.actuator_length[12:], data.actuator_velocity[12:]
         self._surface = data.site("heart_surface").xpos
         self._surface_rotation = data.site("heart_surface").xmat.reshape(3, 3)
-        self._cycle = 0
         self._force, self._read = np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
+        self._load, self._delay = np.asarray(force, dtype=np.float64), flaws.delay
         self._place(motion.position[0] + np.asarray(force) / config.contact.stiffness)
-        self._line = deque([self._torque] * flaws.delay)
 
     def close_brakes(self) -> None:
         """Lock the tool's joints where they are."""
@@ -107,15 +108,24 @@ class Cell:
         self._place(np.asarray(displacement))
 
     def measure(self) -> Measurement:
-        """Read force sensor and encoders; the physics has been brought up to this instant."""
+        """Read force sensor and encoders; the physics has been brought up to this instant.
+
+        Raises:
+            UnstableSimulationError: force and arms have left what can be computed.
+        """
         inner = self._inner
         inner.observe(self._q, self._qdot)
         along = self._spring.stiffness * self._length
         along += self._spring.damping * self._speed
         np.dot(self._surface_rotation, along, out=self._force)
+        if not np.dot(self._force, self._force) < _ABSURD**2:  # NaN is not, either
+            raise UnstableSimulationError(self._cycle * self.period)
         self._read = self._sensor.read(self._force)
         return Measurement(
-            self._cycle * self.period, self._read, inner.position, inner.twist[:3].copy()
+            self._cycle * self.period,
+            self._read.copy(),
+            inner.position.copy(),
+            inner.twist[:3].copy(),
         )
 
     def apply(self, command: FloatArray) -> None:
@@ -133,7 +143,7 @@ class Cell:
         self._saturated = bool((torque != wanted).any())
         self._torque = torque
         self._line.append(torque)
-        self._heart_ctrl[:] = self._heart.ctrl[self._cycle]
+        np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
         self._tool_ctrl[:] = self._line.popleft()
         mujoco.mj_step2(self.model, self.data)
         if self._substeps > 1:
@@ -149,6 +159,7 @@ class Cell:
     def _place(self, displacement: FloatArray) -> None:
         """Set both arms to the start of the motion and the tool at rest at ``displacement``."""
         model, data = self.model, self.data
+        self._cycle = 0
         mujoco.mj_resetData(model, data)
         tool = programme(
             VIPER_S650,
@@ -160,13 +171,20 @@ class Cell:
         )
         data.qpos[:6], data.qvel[:6] = self._heart.q, self._heart.qdot
         self._q[:] = tool.q
-        self._heart_ctrl[:] = self._heart.ctrl[0]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        J = np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, J, None, model.site("heart_surface").id)
+        # The heart's servos lean against the force to start with, else they give way at once.
+        self._lean = -(self._load @ J[:, :6]) / SERVO_STIFFNESS
+        self._heart_ctrl[:] = self._heart.ctrl[0] + self._lean
         mujoco.mj_step1(model, data)
         self.measure()
         self._inner.hold()
         # Torques that really hold the tool; the inner loop's own model may be wrong.
         self._torque = data.qfrc_bias[6:12] + self._inner.J[:3].T @ self._force
         self._tool_ctrl[:] = self._torque
+        self._line = deque([self._torque] * self._delay)
         if model.na:
             data.act[:] = self._torque
 

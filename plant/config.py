@@ -12,7 +12,7 @@ SensorModel = Literal["ideal", "nano17", "mini45"]
 class ContactConfig:
     """Spring (and optional Kelvin-Voigt damper) between instrument and tissue, per axis."""
 
-    stiffness: Annotated[float, Gt(0)] = 2500.0
+    stiffness: Annotated[float, Gt(0), Le(1e6)] = 2500.0
     """True stiffness of the tissue, the same on every axis [N/m]."""
     damping: Annotated[float, Ge(0)] = 0.0
     """Damping in parallel to the spring [N s/m]."""
@@ -30,13 +30,13 @@ class SensorConfig:
 class ToolConfig:
     """Inner loop of Robot_Tool: computed torque to a unit mass, velocity damping, orientation."""
 
-    velocity_damping: Annotated[float, Ge(0)] = 20.0
+    velocity_damping: Annotated[float, Ge(0), Le(1e3)] = 20.0
     """K2 of the paper: gain of the velocity loop closed around the unit mass [1/s]."""
-    orientation_stiffness: Annotated[float, Gt(0)] = 2500.0
+    orientation_stiffness: Annotated[float, Gt(0), Le(1e6)] = 2500.0
     """Proportional gain that holds the orientation of the instrument [1/s^2]."""
     orientation_damping: Annotated[float, Gt(0)] = 100.0
     """Derivative gain that holds the orientation of the instrument [1/s]."""
-    position_stiffness: Annotated[float, Gt(0)] = 2500.0
+    position_stiffness: Annotated[float, Gt(0), Le(1e6)] = 2500.0
     """Proportional gain that holds the axes that are not force-controlled [1/s^2]."""
     position_damping: Annotated[float, Gt(0)] = 100.0
     """Derivative gain that holds the axes that are not force-controlled [1/s]."""

@@ -7,3 +7,17 @@ command line catches both.
 
 class PlantError(Exception):
     """Base of all errors raised by ``plant``; its text is one line fit to be shown to a user."""
+
+
+class UnstableSimulationError(PlantError):
+    """The physics has left what it can compute.
+
+    Attributes: ``time``, when [s].
+    """
+
+    def __init__(self, time: float) -> None:
+        self.time = time
+        super().__init__(
+            f"the simulation became unstable at t = {time:.3f} s (a control loop that diverges, or "
+            "a physics step too long for the stiffness)"
+        )

@@ -90,7 +90,7 @@ def cell_mjcf(
     # Newton from a cold start, makes the whole step twice as long; a coarse tolerance gains nothing
     # and a limit of one iteration loses accuracy. Looking for islands costs a tenth more.
     option = _add(root, "option", timestep=timestep, integrator="implicitfast", solver="Newton")
-    _add(option, "flag", contact="disable", island="disable")
+    _add(option, "flag", contact="disable", island="disable", autoreset="disable")
     _add_looks(root)
     world = _add(root, "worldbody")
     _add_surroundings(world)

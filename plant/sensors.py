@@ -20,6 +20,12 @@ class SensorSpec:
     noise: Quantity
     """Standard deviation of white noise before quantisation."""
 
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of a reading, noise and quantisation together [N]; never 0."""
+        step = float(self.resolution.si)
+        return max(float(np.hypot(self.noise.si, step / np.sqrt(12.0))), 3e-4)
+
 
 _ESTIMATE = "estimate: one step of resolution, white, per sample at 1 kHz"
 

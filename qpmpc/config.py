@@ -21,9 +21,9 @@ FREE: Interval = (-float("inf"), float("inf"))
 class ModelConfig:
     """The controller's idea of the plant: eqs. (7)-(9) of the paper, delay and lag added."""
 
-    stiffness: Annotated[float, Gt(0)] = 2500.0
+    stiffness: Annotated[float, Gt(0), Le(1e6)] = 2500.0
     """Estimated stiffness of the tissue, K_s with a hat [N/m]."""
-    velocity_damping: Annotated[float, Ge(0)] = 20.0
+    velocity_damping: Annotated[float, Ge(0), Le(1e3)] = 20.0
     """K2, gain of the velocity loop around the unit mass [1/s]."""
     delay: Annotated[int, Ge(0), Le(20)] = 1
     """Whole cycles between a command and the torque it causes [cycles]."""
@@ -40,7 +40,8 @@ class ObserverConfig:
     disturbance matched to the input, seen by the force sensor; ``fused``: tissue velocity seen by
     the force sensor and input error seen by the encoders."""
     force_noise: Annotated[float, Gt(0)] = 0.003
-    """Standard deviation of the measured force [N]."""
+    """Standard deviation of the measured force [N]; a scenario that does not give it gets the
+    figure of its sensor."""
     velocity_noise: Annotated[float, Gt(0)] = 1e-5
     """Standard deviation of the tool's measured velocity [m/s]."""
     input_drift: Annotated[float, Gt(0)] = 0.3

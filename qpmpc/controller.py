@@ -140,8 +140,9 @@ class Controller:
                     status = Status.CLIPPED
                 command = clipped
         else:
-            decision = np.zeros(problem.qp.n)
-            command = previous.copy()
+            low, high = problem.limits(previous)
+            command = np.minimum(np.maximum(previous, low), high)
+            decision = problem.hold(previous, command)
         predicted = self._Theta @ decision
         predicted += problem.free
         slack = solution.slack.copy()

@@ -148,6 +148,15 @@ class Problem:
         first = decision[: self.model.n_inputs]
         return previous + first if self.decision == "increment" else first.copy()
 
+    def hold(self, previous: Array, command: Array) -> Array:
+        """Return the decision ``(n_z,)`` that goes to ``command`` at once and stays there."""
+        decision = np.zeros((self.moves, self.model.n_inputs))
+        if self.decision == "absolute":
+            decision[:] = command
+        else:
+            decision[0] = command - previous
+        return decision.reshape(-1)
+
     def limits(self, previous: Array) -> tuple[Array, Array]:
         """Return what u(k) may be, ``(n_inputs,)`` each, by command and rate bounds together."""
         (low, high), (fall, rise) = self._first_command

@@ -15,7 +15,9 @@ from qpmpc.scaling import Scaling
 from qpmpc.status import Status
 
 TOLERANCE = 1e-6
-"""Largest residual, in scaled units of order one, with which an answer counts as solved."""
+"""Largest residual with which an answer counts as solved, relative to the problem's size."""
+_JUDGED = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
+"""What a backend may say of an answer that is worth a check."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,14 +147,20 @@ class Solver:
         return max(gap, float(-price.min()), float(np.minimum(price, s).max()), 0.0)
 
     def _judge(self, status: Status, residuals: Residuals) -> Status:
-        if not self._heeds_rows or status is not Status.SOLVED:
+        if not self._heeds_rows or status not in _JUDGED:
             return status
-        good = (  # one by one: the largest of them may hide a NaN
-            residuals.primal <= TOLERANCE
-            and residuals.dual <= TOLERANCE
-            and residuals.gap <= TOLERANCE
+        # Relative to the size of the problem: far from the setpoint all figures are large. Sums of
+        # comparisons that hold, so that a NaN never passes.
+        level = 1.0 + float(np.abs(self._scaling.q).max(initial=0.0))
+        reach = 1.0 + float(np.abs(self._Ax).max(initial=0.0))
+        good = (
+            residuals.primal <= TOLERANCE * reach
+            and residuals.dual <= TOLERANCE * level
+            and residuals.gap <= TOLERANCE * max(level, reach)
         )
-        return Status.SOLVED if good else Status.INACCURATE
+        if good:
+            return Status.SOLVED
+        return Status.INACCURATE if status is Status.SOLVED else status
 
     def _failure(self, status: Status, iterations: int, begin: float) -> Solution:
         self._x.fill(np.nan)

@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 
 from plant.cell import Cell, heart_programme
+from plant.errors import UnstableSimulationError
 from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
 from scenarios.log import Log
@@ -24,8 +25,9 @@ class Experiment:
 
     scenario: Scenario
     log: Log
-    complete: bool
-    """Whether both runs reached their end."""
+    stopped: str | None
+    """Why it ended before both runs were through: "interrupted", or what failed; None if it did
+    not."""
     wall_time: dict[str, float]
     """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``."""
 
@@ -61,28 +63,33 @@ def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experim
     controller.reset(setpoint.force[0])
     log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
     ready = perf_counter()
-    complete = control_loop(
-        cell,
-        controller,
-        setpoint,
-        log,
-        cycles,
-        limits=scenario.controller.bounds.command,
-        progress=lambda done, total: report("compensated", done, total),
-        stop=stop,
-    )
-    controlled = perf_counter()
-    complete = complete and watch_loop(
-        held,
-        log.force_uncompensated,
-        cycles,
-        progress=lambda done, total: report("uncompensated", done, total),
-        stop=stop,
-    )
+    controlled, stopped = ready, None
+    try:
+        complete = control_loop(
+            cell,
+            controller,
+            setpoint,
+            log,
+            cycles,
+            limits=scenario.controller.bounds.command,
+            progress=lambda done, total: report("compensated", done, total),
+            stop=stop,
+        )
+        controlled = perf_counter()
+        complete = complete and watch_loop(
+            held,
+            log.force_uncompensated,
+            cycles,
+            progress=lambda done, total: report("uncompensated", done, total),
+            stop=stop,
+        )
+        stopped = None if complete else "interrupted"
+    except UnstableSimulationError as error:
+        controlled, stopped = max(controlled, perf_counter()), str(error)
     return Experiment(
         scenario,
         log,
-        complete,
+        stopped,
         {
             "setup": ready - started,
             "compensated": controlled - ready,

@@ -12,6 +12,8 @@ from typing import Any, get_args, get_type_hints
 import tomli_w
 from pydantic import TypeAdapter, ValidationError
 
+from plant.config import SensorConfig
+from plant.sensors import SENSORS
 from scenarios.config import Scenario
 from scenarios.errors import ScenarioError, ScenarioKeyError, UnknownScenarioError, nearest
 
@@ -70,7 +72,8 @@ def load_scenario(
     try:
         return check_scenario(table, path.name)
     except ScenarioKeyError as error:
-        if any(f"{error.key}.".startswith(f"{key}.") for key in keys):
+        told = f"{error.key}."
+        if any(told.startswith(f"{key}.") or f"{key}.".startswith(told) for key in keys):
             raise ScenarioKeyError("--set", error.key, error.reason) from None
         raise
 
@@ -84,6 +87,7 @@ def check_scenario(table: Table, source: str) -> Scenario:
     """
     _check_keys(table, Scenario, source)
     try:
+        _fill_in_noise(table)
         # Strict, and through JSON: there an array may become a tuple, but "1" no number.
         scenario = _ADAPTER.validate_json(json.dumps(table, default=str), strict=True)
     except ValidationError as error:
@@ -100,6 +104,14 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 _ADAPTER = TypeAdapter(Scenario)
+
+
+def _fill_in_noise(table: Table) -> None:
+    """Tell the observer the noise of the sensor that is in the cell, unless the scenario does."""
+    model = table.get("cell", {}).get("sensor", {}).get("model", SensorConfig().model)
+    observer = table.setdefault("controller", {}).setdefault("observer", {})
+    if isinstance(observer, dict) and model in SENSORS:
+        observer.setdefault("force_noise", SENSORS[model].deviation)
 
 
 def _locate(name: str) -> Path:

@@ -55,7 +55,8 @@ def summarise(experiment: Experiment) -> Summary:
         "backend": scenario.backend,
         "seed": scenario.seed,
         "cycles": end,
-        "complete": experiment.complete,
+        "complete": experiment.stopped is None,
+        "stopped": experiment.stopped,
         "axes": axes,
         "paper": PAPER,
         "timing": {

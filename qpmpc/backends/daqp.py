@@ -17,6 +17,8 @@ _SOFT = 8
 """DAQP's mark of a row that may give way."""
 _FLAT = 1e-10
 """Least quadratic penalty, where DAQP wants one: far below any effect of the linear one."""
+_FAR = 1e30
+"""What DAQP takes for infinite: a warm row whose bound is truly infinite would turn to NaN."""
 _STATUS = {
     2: Status.SOLVED,  # with soft rows giving way
     1: Status.SOLVED,
@@ -46,10 +48,11 @@ class DaqpBackend:
         self._model: Any = daqp.Model()
         self._model.settings = {"primal_tol": 1e-9, "iter_limit": 1000}
         soft = np.isfinite(qp.linear)
-        free_l, free_u = np.full(qp.m, -np.inf), np.full(qp.m, np.inf)
+        rows = max(qp.m, 1)  # DAQP wants one: without rows, one that bounds nothing
+        self._l, self._u = np.full(rows, -_FAR), np.full(rows, _FAR)
         flag, _ = self._model.setup(
-            np.array(qp.P), np.array(qp.q), np.array(qp.A), free_u, free_l,
-            np.where(soft, _SOFT, 0).astype(np.int32),
+            np.array(qp.P), np.array(qp.q), np.array(qp.A) if qp.m else np.ones((1, qp.n)),
+            self._u, self._l, np.resize(np.where(soft, _SOFT, 0), rows).astype(np.int32),
         )  # fmt: skip
         if flag < 0:
             raise BackendSetupError(self.name, f"DAQP refused the problem (flag {flag})")
@@ -58,13 +61,16 @@ class DaqpBackend:
             linear = np.where(soft, qp.linear, 0.0)
             self._model.soft_weights(rho_l=give, rho_u=give, w_l=linear, w_u=linear)
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
-        self.solve(np.zeros(qp.n), free_l, free_u)
+        self.solve(np.zeros(qp.n), self._l[: qp.m].copy(), self._u[: qp.m].copy())
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Update the vectors and solve from the last active set."""
-        self._model.update(f=q, bupper=u, blower=l)
+        rows = l.size
+        np.maximum(l, -_FAR, out=self._l[:rows])
+        np.minimum(u, _FAR, out=self._u[:rows])
+        self._model.update(f=q, bupper=self._u, blower=self._l)
         answer = self._answer
         answer.x, _, flag, info = self._model.solve()
-        answer.y, answer.iterations = info["lam"], info["iterations"]
+        answer.y, answer.iterations = info["lam"][:rows], info["iterations"]
         answer.status = _STATUS.get(flag, Status.FAILED)
         return answer

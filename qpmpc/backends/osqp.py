@@ -39,6 +39,10 @@ _ROUNDS = 16
 """Times that OSQP is sent on where the polish did not end in an exact answer."""
 _EXACT = 1e-10
 """How far an exact answer may leave a row's range, in scaled units."""
+_MET = 1e-8
+"""How far an exact answer may miss a bound that it is to sit on, in scaled units."""
+_HUGE = 1e9
+"""Multiplier that no row has whose equations can be met."""
 _REGULAR = 1e-12
 """Curvature that keeps dependent rows solvable; the steps that follow take its effect out."""
 
@@ -92,7 +96,7 @@ class OsqpBackend:
         self._start = np.zeros(form.q.size)
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
         self._solver.warm_start(x=self._start, y=self._idle)
-        self._solver.solve()
+        self._solver.solve(raise_error=False)
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Update the vectors, run OSQP from the unconstrained minimiser, polish."""
@@ -182,6 +186,9 @@ class OsqpBackend:
                 wrong = np.where(fixed, sign * (bound - Ax), outside)
             i = int(np.argmax(wrong))
             if wrong[i] <= _EXACT:
+                level = held[size[held] == 1]
+                if np.abs(Ax - bound)[level].max(initial=0.0) > _MET or np.abs(y).max() > _HUGE:
+                    return False  # the equations contradict each other
                 self._answer.x, self._answer.y = free - self._back @ y, y
                 return True
             side[i] = sign[i] if fixed[i] else 1 if Ax[i] > u[i] else -1

@@ -148,7 +148,7 @@ def test_channel_must_fit(model: LinearModel) -> None:
 
 
 def test_exosystem_must_fit() -> None:
-    with pytest.raises(ShapeError, match="^S "):
+    with pytest.raises(ShapeError, match=r"^S "):
         Exosystem(np.ones((1, 2)), np.ones((1, 2)))
-    with pytest.raises(ShapeError, match="^H "):
+    with pytest.raises(ShapeError, match=r"^H "):
         Exosystem(np.eye(2), np.ones((1, 3)))

@@ -123,7 +123,9 @@ def test_vectors_are_bounds_less_the_free_response(case: Any, decision: str) -> 
     still = np.zeros(p.qp.n) if decision == "increment" else np.tile(c.previous, N)
     free = c.outputs(still, SENSE).ravel()
     gap = p.qp.A[p.rows["speed"]] @ still
-    np.testing.assert_allclose(p.l[p.rows["speed"]], np.tile([-1, -2, -3], N) - free + gap, rtol=1e-9)
+    np.testing.assert_allclose(
+        p.l[p.rows["speed"]], np.tile([-1, -2, -3], N) - free + gap, rtol=1e-9
+    )
     np.testing.assert_allclose(p.u[p.rows["speed"]], np.tile([1, 2, 4], N) - free + gap, rtol=1e-9)
 
 
@@ -254,7 +256,9 @@ def test_two_bounds_of_one_name(case: Any) -> None:
         case(bounds=[CommandBound(-1, 1), CommandBound(-2, 2)])
 
 
-@pytest.mark.parametrize(("linear", "quadratic"), [(0.0, 0.0), (-1.0, 0.0), (np.nan, 0.0), (1.0, -1.0)])
+@pytest.mark.parametrize(
+    ("linear", "quadratic"), [(0.0, 0.0), (-1.0, 0.0), (np.nan, 0.0), (1.0, -1.0)]
+)
 def test_penalties_out_of_range(case: Any, linear: float, quadratic: float) -> None:
     with pytest.raises(ModelError, match="'speed'"):
         case(bounds=[OutputBound("speed", SENSE, -1, 1, linear, quadratic)])

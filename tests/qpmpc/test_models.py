@@ -17,7 +17,7 @@ A_DISCRETE, B_DISCRETE = zero_order_hold(A_CONTINUOUS, B_CONTINUOUS, PERIOD)
 makers = pytest.mark.parametrize(
     "make",
     [
-        lambda *m, **k: scipy.signal.StateSpace(*m, **k),
+        scipy.signal.StateSpace,
         lambda *m, **k: control.StateSpace(*m, *k.values()),
         lambda *m, **k: control.ss(*m, *k.values()),
     ],

@@ -67,7 +67,7 @@ def test_equals_the_roll_out(
 
 @builds
 @pytest.mark.parametrize("N", [1, 2, 8])
-def test_diagonal_blocks_are_CB(
+def test_diagonal_blocks_are_cb(
     rng: np.random.Generator, random_model: Callable[..., LinearModel], build: Build, N: int
 ) -> None:
     model = random_model(rng, 3, 2, 2, 0.9)
@@ -83,7 +83,11 @@ def test_increments_and_absolute_commands_predict_the_same(
     rng: np.random.Generator, random_model: Callable[..., LinearModel]
 ) -> None:
     model = random_model(rng, 4, 2, 3, 1.01)
-    state, previous, steps = rng.standard_normal(4), rng.standard_normal(2), rng.standard_normal((3, 2))
+    state, previous, steps = (
+        rng.standard_normal(4),
+        rng.standard_normal(2),
+        rng.standard_normal((3, 2)),
+    )
     one, other = prediction(model, 9, 3), absolute_prediction(model, 9, 3)
     absolute = previous + np.cumsum(steps, axis=0)
     np.testing.assert_allclose(
@@ -95,16 +99,15 @@ def test_increments_and_absolute_commands_predict_the_same(
 
 @builds
 @pytest.mark.parametrize(
-    ("N", "N_u", "name"), [(0, None, "horizon"), (-3, None, "horizon"), (4, 0, "control"), (4, 5, "control")]
+    "case", [(0, None, "horizon"), (-3, None, "horizon"), (4, 0, "control"), (4, 5, "control")]
 )
 def test_horizons_out_of_range(
     rng: np.random.Generator,
     random_model: Callable[..., LinearModel],
     build: Build,
-    N: int,
-    N_u: int | None,
-    name: str,
+    case: tuple[int, int | None, str],
 ) -> None:
+    N, N_u, name = case
     with pytest.raises(ModelError, match=name):
         build(random_model(rng, 2, 1, 1, 0.5), N, N_u)
 

@@ -1,3 +1,4 @@
+# ruff: noqa: E741 - l is the name of the lower bounds throughout the library
 from typing import Any
 
 import numpy as np

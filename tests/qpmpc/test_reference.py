@@ -6,7 +6,9 @@ from qpmpc import ExponentialReference, ModelError
 
 @pytest.mark.parametrize(("N", "n"), [(1, 1), (8, 1), (8, 3), (64, 2)])
 @pytest.mark.parametrize("time_constant", [0.0, 1e-3, 0.02, 1e3])
-def test_formula_with_preview(rng: np.random.Generator, N: int, n: int, time_constant: float) -> None:
+def test_formula_with_preview(
+    rng: np.random.Generator, N: int, n: int, time_constant: float
+) -> None:
     reference = ExponentialReference(N, n, 1e-3, time_constant)
     s, y = rng.standard_normal((N + 1, n)), rng.standard_normal(n)
     alpha = np.exp(-1e-3 / time_constant) if time_constant else 0.0

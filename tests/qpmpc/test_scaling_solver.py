@@ -1,3 +1,4 @@
+# ruff: noqa: E741 - l is the name of the lower bounds throughout the library
 from collections.abc import Callable
 from time import perf_counter, sleep
 from typing import Any
@@ -40,7 +41,7 @@ def true_answer(optimum: Any) -> Callable[..., Any]:
     def make(qp: QuadraticProgram) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
         scaled = Scaling(qp).qp
 
-        def answer(q: Any, l: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:  # noqa: E741
+        def answer(q: Any, l: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
             x = optimum(scaled, q, l, u).x
             y = np.linalg.solve(scaled.A.T, -(scaled.P @ x + q))
             return x, y
@@ -124,7 +125,9 @@ def test_row_of_zeros_and_no_rows_at_all() -> None:
 # ---- closed form
 
 
-def test_analytic_is_equation_13(rng: np.random.Generator, contact_problem: Any, instance: Any) -> None:
+def test_analytic_is_equation_13(
+    rng: np.random.Generator, contact_problem: Any, instance: Any
+) -> None:
     problem = contact_problem(rng, 3, 8)
     i = instance(rng, problem)
     q, l, u = i.vectors()
@@ -155,7 +158,7 @@ def test_residuals_vanish_at_the_optimum_alone(
             off = size * rng.choice([-1.0, 1.0], 2) * rng.uniform(0.5, 1.0, 2)
             for moved in ((off, 0 * off), (0 * off, off)):
 
-                def lie(q: Any, l: Any, u: Any, moved: Any = moved) -> Any:  # noqa: E741
+                def lie(q: Any, l: Any, u: Any, moved: Any = moved) -> Any:
                     x, y = truth(q, l, u)
                     return x + moved[0], y + moved[1]
 
@@ -174,7 +177,9 @@ def test_residuals_vanish_at_the_optimum_alone(
         ([1.0, 0.0], [-2.0, 0.0], "gap"),  # a multiplier of the wrong sign
     ],
 )
-def test_each_residual_sees_its_own_lie(liar: Any, x: list[float], y: list[float], residual: str) -> None:
+def test_each_residual_sees_its_own_lie(
+    liar: Any, x: list[float], y: list[float], residual: str
+) -> None:
     q = np.array([-3.0, 0.0])
     if y[0] == -2.0:
         q = np.array([1.0, 0.0])
@@ -188,7 +193,7 @@ def test_each_residual_sees_its_own_lie(liar: Any, x: list[float], y: list[float
 def test_multiplier_beyond_the_penalty_of_a_soft_row_is_a_lie(liar: Any) -> None:
     qp = QuadraticProgram(EYE, [-3.0, 0.0], EYE, -1.0, 1.0, 1.5)
 
-    def hard(q: Any, l: Any, u: Any) -> Any:  # noqa: E741 - the answer if the row were hard
+    def hard(q: Any, l: Any, u: Any) -> Any:  # the answer if the row were hard
         return np.array([1.0, 0.0]), np.array([2.0, 0.0])
 
     solution = Solver(qp, liar(hard)).solve(qp.q, qp.l, qp.u)
@@ -270,7 +275,7 @@ def test_slack_is_in_the_units_of_the_rows() -> None:
 
 
 def test_times_add_up_to_the_call(liar: Any) -> None:
-    def slow(q: Any, l: Any, u: Any) -> Any:  # noqa: E741
+    def slow(q: Any, l: Any, u: Any) -> Any:
         sleep(0.02)
         return np.zeros(2), np.zeros(2)
 

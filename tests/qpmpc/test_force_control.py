@@ -1,0 +1,333 @@
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from qpmpc import (
+    BoundsConfig,
+    BoundsError,
+    ControllerConfig,
+    ForceController,
+    ModelConfig,
+    ModelError,
+    ObserverConfig,
+    PerAxis,
+    QpmpcError,
+    Status,
+    UnknownNameError,
+    axis_model,
+    contact_model,
+)
+from qpmpc.config import FREE, Disturbance
+
+PERIOD = 1e-3
+KINDS = Disturbance.__args__
+kinds = pytest.mark.parametrize("kind", KINDS)
+bounded = pytest.mark.parametrize("velocity", [FREE, (-0.2, 0.2)], ids=["free", "bounded"])
+
+
+class Cell:
+    """Tissue that moves, tools that obey with one cycle of delay, sensors with fixed noise."""
+
+    def __init__(self, axes: int, *, amplitude: float = 0.02, error: float = 0.0) -> None:
+        self.contact = contact_model(2500.0, 20.0, PERIOD, lag=1e-3)
+        self.x = np.zeros((axes, 3))
+        self.x[:, 0] = np.array([2.0, 3.0, 4.0])[:axes]
+        self.late = np.zeros(axes)
+        self.amplitude, self.error, self.k = amplitude, error, 0
+
+    @property
+    def force(self) -> np.ndarray:
+        return self.x[:, 0].copy()
+
+    @property
+    def velocity(self) -> np.ndarray:
+        return self.x[:, 1].copy()
+
+    def apply(self, command: np.ndarray) -> None:
+        axes = np.arange(len(self.x))
+        tissue = self.amplitude * np.sin(2 * np.pi * (5 + 3 * axes) * self.k * PERIOD + axes)
+        m, c = self.contact.model, self.contact
+        self.x = (
+            self.x @ m.A.T
+            + np.outer(self.late, m.B)
+            + np.outer(tissue, c.tissue)
+            + self.error * np.ravel(c.load)
+        )
+        self.late, self.k = command, self.k + 1
+
+
+def trace(
+    config: ControllerConfig,
+    axes: tuple[Any, ...] = ("x", "y", "z"),
+    cycles: int = 80,
+    backend: str = "daqp",
+    cell: Cell | None = None,
+) -> tuple[np.ndarray, Cell, list[Status]]:
+    """Commands of a closed loop, ``(cycles, n_axes)``."""
+    cell = cell or Cell(len(axes))
+    controller = ForceController(config, axes, PERIOD, backend)
+    controller.reset(cell.force)
+    wish = np.tile(cell.force, (config.horizon + 1, 1))
+    commands, statuses, noise = [], [], np.random.default_rng(3)
+    for k in range(cycles):
+        if k == 20:
+            wish = wish + 0.5
+        measured = cell.force + 3e-3 * noise.standard_normal(len(axes))
+        speed = cell.velocity + 1e-4 * noise.standard_normal(len(axes))
+        step = controller.step(measured, speed, wish)
+        cell.apply(step.command)
+        controller.prepare()
+        commands.append(step.command)
+        statuses.append(step.status)
+    return np.array(commands), cell, statuses
+
+
+def configured(kind: str = "fused", velocity: tuple[float, float] = FREE) -> ControllerConfig:
+    return ControllerConfig(
+        observer=ObserverConfig(disturbance=kind), bounds=BoundsConfig(velocity=velocity)
+    )
+
+
+# ---- every field of the configuration does something
+
+TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
+TIGHT_VELOCITY = {"bounds.velocity": (-0.01, 0.01)}
+EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
+    # field: (other value, what else must be set for it to matter)
+    "horizon": (6, {}),
+    "control_horizon": (3, {}),
+    "decision": ("absolute", {}),
+    "force_weight": (2.0, {}),
+    "increment_weight": (0.01, {}),
+    "reference_time": (0.01, {}),
+    "model.stiffness": (2000.0, {}),
+    "model.velocity_damping": (30.0, {}),
+    "model.delay": (2, {}),
+    "model.lag": (0.0, {}),
+    "observer.disturbance": ("constant", {}),
+    "observer.force_noise": (0.01, {}),
+    "observer.velocity_noise": (1e-3, {}),
+    "observer.input_drift": (3.0, {}),
+    "observer.input_slope_drift": (30.0, {"observer.disturbance": "ramp"}),
+    "observer.tissue_jerk_drift": (1000.0, {}),
+    "bounds.command": ((-4.0, 4.0), {}),
+    "bounds.rate": ((-0.5, 0.5), {}),
+    "bounds.force.x": ((1.95, 2.05), {}),
+    "bounds.force.y": ((2.95, 3.05), {}),
+    "bounds.force.z": ((3.95, 4.05), {}),
+    "bounds.velocity": ((-0.01, 0.01), {}),
+    "bounds.force_penalty": (1e-3, TIGHT_FORCE),
+    "bounds.velocity_penalty": (1e-3, TIGHT_VELOCITY),
+}
+
+
+def paths(record: Any, prefix: str = "") -> Iterator[str]:
+    for f in fields(record):
+        value = getattr(record, f.name)
+        if is_dataclass(value):
+            yield from paths(value, f"{prefix}{f.name}.")
+        else:
+            yield prefix + f.name
+
+
+def changed(record: Any, path: str, value: Any) -> Any:
+    name, _, rest = path.partition(".")
+    return replace(record, **{name: changed(getattr(record, name), rest, value) if rest else value})
+
+
+@pytest.mark.parametrize("path", list(paths(ControllerConfig())))
+def test_every_field_has_an_effect(path: str) -> None:
+    assert path in EFFECTS, f"state in EFFECTS what another value of {path} changes"
+    value, context = EFFECTS[path]
+    base = ControllerConfig()
+    for other, setting in context.items():
+        base = changed(base, other, setting)
+    before, after = trace(base)[0], trace(changed(base, path, value))[0]
+    difference = np.abs(before - after).max(axis=0)
+    if path.startswith("bounds.force."):
+        alone = np.arange(3) == "xyz".index(path[-1])
+        assert (difference[alone] > 1e-3).all()
+        assert (difference[~alone] < 1e-6).all()
+    else:
+        assert (difference > 1e-3).all()
+
+
+def test_effects_are_stated_for_fields_there_are() -> None:
+    assert set(EFFECTS) == set(paths(ControllerConfig()))
+
+
+# ---- measurements
+
+
+@kinds
+@bounded
+def test_three_axes_are_three_controllers(kind: str, velocity: tuple[float, float]) -> None:
+    """Nothing leaks from axis to axis, neither measurement nor set point nor bound."""
+    config = replace(
+        configured(kind, velocity),
+        bounds=BoundsConfig(velocity=velocity, force=PerAxis((1.9, 2.2), FREE, (3.9, 4.2))),
+    )
+    names = ("x", "y", "z")
+    rng = np.random.default_rng(4)
+    force, speed = 3 + rng.standard_normal((20, 3)), 0.05 * rng.standard_normal((20, 3))
+    wish = 3 + rng.standard_normal((20, 9, 3))
+    together = ForceController(config, names, PERIOD)
+    together.reset(force[0])
+    joint = np.array([together.step(*v).command for v in zip(force, speed, wish, strict=True)])
+    for i, name in enumerate(names):
+        single = ForceController(config, (name,), PERIOD)
+        single.reset(force[0, [i]])
+        for k in range(20):
+            step = single.step(force[k, [i]], speed[k, [i]], wish[k][:, [i]])
+            assert step.command[0] == pytest.approx(joint[k, i], rel=1e-6, abs=1e-6)
+
+
+def test_bounds_follow_the_order_of_the_axes() -> None:
+    config = ControllerConfig(bounds=BoundsConfig(force=PerAxis((0, 1), (0, 2), (0, 3))))
+    problem = ForceController(config, ("z", "x"), PERIOD).general.problem
+    rows = problem.rows["force"]
+    np.testing.assert_array_equal(problem.qp.u[rows].reshape(-1, 2)[:, 0], 3)
+    np.testing.assert_array_equal(problem.qp.u[rows].reshape(-1, 2)[:, 1], 1)
+
+
+@kinds
+@bounded
+def test_velocity_is_used_where_the_model_says_so(kind: str, velocity: Any) -> None:
+    axis = axis_model(
+        ModelConfig(), ObserverConfig(disturbance=kind), PERIOD, tool_velocity=velocity != FREE
+    )
+    readings = []
+    for speed in (0.0, 0.05):
+        controller = ForceController(configured(kind, velocity), ("y",), PERIOD)
+        controller.reset(np.array([2.0]))
+        controller.step(np.array([2.0]), np.array([speed]), np.full((9, 1), 2.0))
+        readings.append(axis.velocity @ controller.general.observer.state)
+    assert (readings[1] - readings[0] > 0.01) == (axis.measured.shape[0] == 2)
+    assert axis.measured.shape[0] == (1 if kind in ("constant", "ramp") and velocity == FREE else 2)
+
+
+@kinds
+@bounded
+def test_estimate_finds_force_and_tool_velocity(kind: str, velocity: Any) -> None:
+    config = configured(kind, velocity)
+    axis = axis_model(config.model, config.observer, PERIOD, tool_velocity=velocity != FREE)
+    cell = Cell(1, amplitude=0.0, error=3.0 if kind != "none" else 0.0)
+    controller = ForceController(config, ("x",), PERIOD)
+    controller.reset(np.array([0.0]))
+    for _ in range(1500):
+        step = controller.step(cell.force, cell.velocity, np.full((9, 1), 2.5))
+        force, speed = cell.force, cell.velocity
+        estimate = controller.general.observer.state.copy()
+        cell.apply(step.command)
+        controller.prepare()
+    assert axis.model.C @ estimate == pytest.approx(force, abs=1e-4)
+    assert axis.velocity @ estimate == pytest.approx(speed, abs=1e-5)
+
+
+# ---- disturbance models
+
+
+@kinds
+@bounded
+def test_runs_and_holds_the_force_on_moving_tissue(kind: str, velocity: Any) -> None:
+    config = configured(kind, velocity)
+    cell = Cell(3)
+    commands, cell, statuses = trace(config, cycles=400, cell=cell)
+    assert set(statuses) <= {Status.SOLVED}
+    still = Cell(3)
+    worst = 0.0
+    for _ in range(400):
+        still.apply(np.zeros(3))
+        worst = max(worst, np.abs(still.force - [2, 3, 4]).max())
+    assert worst > 2.0
+    assert np.abs(cell.force - [2.5, 3.5, 4.5]).max() < (1.5 if kind == "none" else 0.3)
+    assert np.abs(commands).max() <= 20.0
+
+
+@pytest.mark.parametrize("kind", [k for k in KINDS if k != "none"])
+@bounded
+def test_no_offset_under_a_constant_input_error(kind: str, velocity: Any) -> None:
+    cell = Cell(1, amplitude=0.0, error=4.0)
+    controller = ForceController(configured(kind, velocity), ("x",), PERIOD)
+    controller.reset(cell.force)
+    for _ in range(1500):
+        step = controller.step(cell.force, cell.velocity, np.full((9, 1), 2.5))
+        cell.apply(step.command)
+    assert cell.force[0] == pytest.approx(2.5, abs=1e-4)
+    assert step.command[0] == pytest.approx(-4.0, abs=1e-3)
+
+
+def test_without_a_disturbance_state_there_is_an_offset() -> None:
+    cell = Cell(1, amplitude=0.0, error=4.0)
+    controller = ForceController(configured("none"), ("x",), PERIOD)
+    controller.reset(cell.force)
+    for _ in range(1500):
+        cell.apply(controller.step(cell.force, cell.velocity, np.full((9, 1), 2.5)).command)
+    assert abs(cell.force[0] - 2.5) > 0.01
+
+
+# ---- the rest
+
+
+def test_reset_starts_at_rest_with_the_force_given() -> None:
+    config = configured()
+    used, fresh = (ForceController(config, ("x", "z"), PERIOD) for _ in range(2))
+    for k in range(5):
+        used.step(np.array([1.0, k]), np.array([0.1, 0.2]), np.full((9, 2), 3.0))
+        used.prepare()
+    steps = []
+    for controller in (used, fresh):
+        controller.reset(np.array([2.0, 3.0]))
+        force = controller.general.problem.model.C @ controller.general.observer.state
+        np.testing.assert_array_equal(force, [2.0, 3.0])
+        assert np.count_nonzero(controller.general.observer.state) == 2
+        steps.append(
+            controller.step(np.array([2.1, 3.0]), np.array([0.0, 0.01]), np.full((9, 2), 3.0))
+        )
+    np.testing.assert_allclose(steps[0].command, steps[1].command, rtol=1e-9)
+
+
+def test_lost_measurement_fails_one_cycle_only() -> None:
+    controller = ForceController(configured(), ("x",), PERIOD)
+    controller.reset(np.array([2.0]))
+    good = np.array([2.0]), np.zeros(1), np.full((9, 1), 2.2)
+    statuses = [controller.step(*good).status]
+    statuses.append(controller.step(np.array([np.nan]), *good[1:]).status)
+    statuses.append(controller.step(good[0], np.array([np.inf]), good[2]).status)
+    statuses.append(controller.step(*good).status)
+    assert statuses == [Status.SOLVED, Status.FAILED, Status.FAILED, Status.SOLVED]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "error"),
+    [
+        ("horizon", 0, ModelError),
+        ("control_horizon", 9, ModelError),
+        ("decision", "relative", UnknownNameError),
+        ("force_weight", -1.0, ModelError),
+        ("increment_weight", 0.0, ModelError),
+        ("reference_time", -1.0, ModelError),
+        ("model.stiffness", 0.0, ModelError),
+        ("model.velocity_damping", -1.0, ModelError),
+        ("model.delay", -1, ModelError),
+        ("model.lag", -1.0, ModelError),
+        ("observer.disturbance", "fuse", UnknownNameError),
+        ("observer.force_noise", 0.0, QpmpcError),
+        ("bounds.command", (5.0, 6.0), BoundsError),
+        ("bounds.rate", (-6.0, -5.0), BoundsError),
+        ("bounds.force.x", (2.0, 1.0), BoundsError),
+        ("bounds.velocity", (0.1, -0.1), BoundsError),
+        ("bounds.force_penalty", 0.0, ModelError),
+    ],
+)
+def test_out_of_range(path: str, value: Any, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        ForceController(changed(ControllerConfig(), path, value), ("x",), PERIOD)
+
+
+def test_unknown_axis() -> None:
+    with pytest.raises(UnknownNameError, match="unknown axis 'w'"):
+        ForceController(ControllerConfig(), ("w",), PERIOD)  # type: ignore[arg-type]
