@@ -75,7 +75,7 @@ def test_what_was_run_is_told(summary):
     assert summary["paper"] == PAPER
 
 
-@pytest.mark.parametrize(("j", "axis"), enumerate("xyz"))
+@pytest.mark.parametrize(("j", "axis"), list(enumerate("xyz")))
 def test_errors_are_those_of_numpy(j, axis, complete, summary):
     log, figures = complete.log, summary["axes"][axis]
     held = log.force_uncompensated[:, j] - log.setpoint[0, j]

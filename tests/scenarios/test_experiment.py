@@ -1,0 +1,209 @@
+"""The whole experiment in closed loop on the real physics: what the project promises."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from scenarios import load_scenario, run_experiment, shipped, summarise
+from scenarios.motion import load_motion
+
+PAPER_FORCE = {"x": (1.0, 7.0), "y": (1.6, 10.0), "z": (3.5, 20.0)}
+"""RMS and peak to peak without compensation [N]."""
+
+
+def simulate(name, *settings, **top):
+    """Run a scenario; return its scenario, log and summary."""
+    scenario = load_scenario(name, top=top, settings=settings)
+    experiment = run_experiment(scenario, report=lambda *_: None, stop=lambda: False)
+    assert experiment.stopped is None
+    return SimpleNamespace(scenario=scenario, log=experiment.log, summary=summarise(experiment))
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return simulate("paper")
+
+
+@pytest.fixture(scope="module")
+def ideal():
+    return simulate("ideal", duration=4.0)  # as representative as 15 s: two breaths, five beats
+
+
+@pytest.fixture(scope="module")
+def paper_law():
+    return simulate("paper-law", duration=4.0)
+
+
+# --- the paper's experiment ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_paper_reduces_the_force_error_as_promised(axis, paper):
+    figures = paper.summary["axes"][axis]
+    assert figures["reduction"]["rms"] >= 98.0
+    assert figures["compensated"]["max"] <= 0.3
+
+
+def test_paper_does_so_without_saturation_and_with_every_qp_solved(paper):
+    assert paper.summary["saturation"]["command"] < 1e-3
+    assert paper.summary["saturation"]["torque"] < 1e-3
+    assert paper.summary["status"] == {"solved": 15000}
+    assert paper.summary["complete"] is True
+    assert paper.summary["cycles"] == 15000
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_without_compensation_the_force_is_the_papers(axis, paper):
+    held = paper.summary["axes"][axis]["uncompensated"]
+    rms, peak_to_peak = PAPER_FORCE[axis]
+    assert held["rms"] == pytest.approx(rms, rel=0.05)
+    assert held["peak_to_peak"] == pytest.approx(peak_to_peak, rel=0.05)
+    assert 5.5 <= held["peak_to_peak"] / held["rms"] <= 7.5
+
+
+def test_both_runs_see_the_motion_of_the_seed(paper):
+    scenario, log = paper.scenario, paper.log
+    motion = load_motion(scenario.motion, scenario.duration, scenario.cell.period, scenario.seed)
+    surface = log.tissue - log.tissue.mean(axis=0)
+    assert np.abs(surface - (motion.position - motion.position.mean(axis=0))).max() < 3e-4
+    stiffness = scenario.cell.contact.stiffness
+    np.testing.assert_allclose(log.force, stiffness * (log.tool - log.tissue), atol=1e-8)
+    # Held still: the force is that of the motion alone.
+    without = np.array([1.0, 2.0, -10.0]) - stiffness * motion.position
+    assert np.abs(log.force_uncompensated - without).max() < 0.5
+    other = load_motion(scenario.motion, scenario.duration, scenario.cell.period, 1)
+    assert np.abs(other.position - motion.position).max() > 1e-3
+
+
+def test_the_prediction_is_what_comes(paper):
+    """The observer's model is right: one step ahead, to a few times the sensor's noise."""
+    log = paper.log
+    error = log.force[1:] - log.force_predicted[:-1]
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.02
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_ideal_reduces_the_force_error_as_promised(axis, ideal):
+    assert ideal.summary["axes"][axis]["reduction"]["rms"] >= 99.5
+    assert ideal.summary["saturation"]["command"] < 1e-3
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_the_papers_law_lands_in_the_papers_range(axis, paper_law):
+    assert 50.0 <= paper_law.summary["axes"][axis]["reduction"]["rms"] <= 95.0
+
+
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_every_shipped_scenario_runs(name):
+    run = simulate(name, duration=0.5)
+    figures = run.summary["axes"]
+    assert set(figures) == set(run.scenario.axes)
+    for values in figures.values():
+        assert values["compensated"]["rms"] < 0.5 * values["uncompensated"]["rms"]
+    assert run.summary["status"] == {"solved": 500}
+
+
+def test_an_unstable_loop_is_told_and_leaves_its_log():
+    scenario = load_scenario(
+        "paper", top={"duration": 1.0}, settings=["cell.contact.stiffness=100000.0"]
+    )
+    experiment = run_experiment(scenario, report=lambda *_: None, stop=lambda: False)
+    assert "unstable" in experiment.stopped
+    assert 0 < experiment.log.cycles < 1000
+    assert summarise(experiment)["complete"] is False
+
+
+def test_stages_are_reported_in_order():
+    scenario, seen = load_scenario("paper", top={"duration": 0.02}), []
+    run_experiment(scenario, report=lambda *now: seen.append(now), stop=lambda: False)
+    stages = [stage for stage, _, _ in seen]
+    assert list(dict.fromkeys(stages)) == ["setup", "compensated", "uncompensated"]
+    assert ("compensated", 20, 20) in seen
+    assert seen[-1] == ("uncompensated", 20, 20)
+
+
+@pytest.mark.parametrize(
+    ("cycle", "controlled", "held"), [(0, 0, 0), (30, 30, 0), (70, 50, 20)]
+)
+def test_a_stop_at_any_time_leaves_what_was_done(cycle, controlled, held):
+    asked = iter(range(10**6))
+    experiment = run_experiment(
+        load_scenario("paper", top={"duration": 0.05}),
+        report=lambda *_: None,
+        stop=lambda: next(asked) >= cycle,
+    )
+    assert experiment.stopped == "interrupted"
+    log = experiment.log
+    assert log.cycles == controlled
+    # The 71st question is asked after 50 cycles under control and 20 with closed brakes.
+    assert np.isfinite(log.force_uncompensated[:, 0]).sum() == held
+
+
+# --- backends in closed loop ---------------------------------------------------------------------
+
+LOOSE = (
+    "controller.bounds.command=[-1e4, 1e4]",
+    "controller.bounds.rate=[-1e4, 1e4]",
+    "controller.bounds.velocity=[-50.0, 50.0]",
+    "controller.bounds.force={x=[-1e3, 1e3], y=[-1e3, 1e3], z=[-1e3, 1e3]}",
+    "setpoint.steps=[{time=0.6, x=2.0, z=-8.0}]",
+)
+TIGHT = (
+    "controller.bounds.command=[-3.0, 3.0]",
+    "controller.bounds.force={x=[0.5, 1.5], y=[1.5, 2.5], z=[-10.5, -9.5]}",
+    "controller.bounds.velocity=[-inf, inf]",
+)
+
+
+@pytest.fixture(scope="module")
+def analytic():
+    return simulate("paper", *LOOSE, duration=1.2, backend="analytic")
+
+
+@pytest.mark.parametrize("backend", ["osqp", "daqp"])
+def test_with_loose_bounds_a_qp_gives_the_analytic_commands(backend, analytic):
+    commands = analytic.log.command
+    assert np.abs(commands).max() > 5.0
+    given = simulate("paper", *LOOSE, duration=1.2, backend=backend)
+    assert np.abs(given.log.command - commands).max() <= 1e-6 * np.abs(commands).max()
+    assert given.summary["status"] == {"solved": 1200}
+
+
+@pytest.fixture(scope="module")
+def tight():
+    return {
+        backend: simulate("paper", *TIGHT, duration=1.2, backend=backend)
+        for backend in ("osqp", "daqp")
+    }
+
+
+@pytest.mark.parametrize("backend", ["osqp", "daqp"])
+def test_an_active_command_bound_is_never_exceeded(backend, tight):
+    command, log = tight[backend].log.command, tight[backend].log
+    assert np.abs(command).max() <= 3.0 + 1e-6 * 6.0
+    on_bound = np.abs(command) > 3.0 - 1e-5
+    assert 0.05 < on_bound.any(axis=1).mean() < 0.95
+    assert tight[backend].summary["status"] == {"solved": 1200}
+    assert (log.slack[:, log.bounds.index("command")] <= 6e-6).all()
+    assert log.slack[:, log.bounds.index("force")].max() > 0.1  # the soft bound gives way
+
+
+def test_both_solvers_agree_under_active_bounds(tight):
+    commands = [tight[backend].log.command for backend in ("osqp", "daqp")]
+    np.testing.assert_allclose(commands[0], commands[1], atol=1e-4)
+
+
+def test_a_feasible_force_bound_changes_the_run_for_the_better():
+    """A step to beyond the bound is refused by the loader; an overshoot is held back."""
+    steps = "setpoint.steps=[{time=0.1, z=-15.0}]"
+    fast = ("controller.reference_time=0.0", "motion.force_rms=[1e-3, 1e-3, 1e-3]",
+            "motion.force_peak_to_peak=[0.007, 0.007, 0.007]", steps)  # fmt: skip
+    free, held = (
+        simulate("ideal", *fast, f"controller.bounds.force.z=[{low}, 0.0]", duration=0.3)
+        for low in (-50.0, -15.0)
+    )
+    assert free.log.force[:, 2].min() < -15.2
+    assert held.log.force[:, 2].min() > free.log.force[:, 2].min() + 0.1
