@@ -93,7 +93,7 @@ class Cell:
         self._length, self._speed = data.actuator_length[12:], data.actuator_velocity[12:]
         self._surface = data.site("heart_surface").xpos
         self._surface_rotation = data.site("heart_surface").xmat.reshape(3, 3)
-        self._force, self._read = np.zeros(3), np.zeros(3)
+        self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
         self._load, self._delay = np.asarray(force, dtype=np.float64), flaws.delay
         self._place(motion.position[0] + np.asarray(force) / config.contact.stiffness)
@@ -121,6 +121,7 @@ class Cell:
         if not np.dot(self._force, self._force) < _ABSURD**2:  # NaN is not, either
             raise UnstableSimulationError(self._cycle * self.period)
         self._read = self._sensor.read(self._force)
+        self._tissue[:] = self._surface
         return Measurement(
             self._cycle * self.period,
             self._read.copy(),
@@ -154,7 +155,7 @@ class Cell:
 
     def truth(self) -> Truth:
         """Return what is really there; torque and saturation are those of the last `apply`."""
-        return Truth(self._force.copy(), self._surface.copy(), self._torque, self._saturated)
+        return Truth(self._force.copy(), self._tissue.copy(), self._torque, self._saturated)
 
     def _place(self, displacement: FloatArray) -> None:
         """Set both arms to the start of the motion and the tool at rest at ``displacement``."""

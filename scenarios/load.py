@@ -110,7 +110,7 @@ def _fill_in_noise(table: Table) -> None:
     """Tell the observer the noise of the sensor that is in the cell, unless the scenario does."""
     model = table.get("cell", {}).get("sensor", {}).get("model", SensorConfig().model)
     observer = table.setdefault("controller", {}).setdefault("observer", {})
-    if isinstance(observer, dict) and model in SENSORS:
+    if isinstance(model, str) and model in SENSORS:
         observer.setdefault("force_noise", SENSORS[model].deviation)
 
 

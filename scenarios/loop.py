@@ -45,7 +45,8 @@ def control_loop(
         limits: command bound; a command on it counts as saturated [m/s^2].
         progress, stop: see `Progress`, `Stop`.
     """
-    index = [_AXIS[axis] for axis in controller.axes]
+    every = controller.axes == tuple(_AXIS)
+    index = slice(None) if every else np.array([_AXIS[axis] for axis in controller.axes])
     command = np.zeros(3)
     low, high = limits
     with quiet_memory():

@@ -158,3 +158,14 @@ def make_cell() -> Callable[..., Cell]:
 def drive() -> Callable[..., Trace]:
     """Drive a cell open loop by a constant command, or a function of the cycle."""
     return _run
+
+
+@pytest.fixture(scope="session")
+def perfect_run() -> Callable[..., Trace]:
+    """Drive a perfect cell, with changes by the name of a field."""
+
+    def run(motion: Path3, command: Any, force: Any = SETPOINT, **changes: Any) -> Trace:
+        start = np.asarray(force, dtype=np.float64)
+        return _run(Cell(_perfect(**changes), motion, force=start, seed=0), command)
+
+    return run

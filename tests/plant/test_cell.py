@@ -46,9 +46,8 @@ def altered(record, path):
 
 @pytest.mark.parametrize("force", [(0, 0, 0), (1, 2, -10), (-5, 3, -18)])
 @pytest.mark.parametrize("damping", [0.0, 10.0])
-def test_a_perfect_cell_starts_in_equilibrium(force, damping, perfect, make_cell, still, drive):
-    cell = make_cell(perfect(damping=damping), still(200), force=np.array(force, dtype=float))
-    trace = drive(cell, 0.0)
+def test_a_perfect_cell_starts_in_equilibrium(force, damping, perfect_run, still):
+    trace = perfect_run(still(200), 0.0, force, damping=damping)
     np.testing.assert_allclose(trace.force, np.tile(force, (200, 1)), atol=1e-6)
 
 
@@ -77,7 +76,9 @@ def test_a_moved_tool_is_at_rest_in_its_new_place(delay, perfect, make_cell, sti
     place = np.array([-1e-3, 1e-3, -2e-3])
     cell.move_tool(place)
     trace = drive(cell, 0.0, cycles=20)
-    np.testing.assert_allclose(trace.position[:5] - CONTACT_POINT.si, np.tile(place, (5, 1)), atol=1e-7)
+    np.testing.assert_allclose(
+        trace.position[:5] - CONTACT_POINT.si, np.tile(place, (5, 1)), atol=1e-7
+    )
     assert np.abs(trace.velocity).max() < 1e-3
 
 
@@ -126,13 +127,16 @@ def test_the_tool_presses_the_heart_away(axis, perfect, make_cell, still, drive)
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 5])
 @pytest.mark.parametrize("lag", [0.0, 0.002])
-def test_a_command_arrives_after_the_delay_and_not_earlier(
-    delay, lag, perfect, make_cell, beating, drive
-):
+def test_a_command_arrives_after_the_delay_and_not_earlier(delay, lag, perfect_run, beating):
     sent, n = 7, 20
-    config = perfect(delay=delay, torque_lag=lag, friction=1.0, friction_compensation=0.8)
-    quiet = drive(make_cell(config, beating(n)), 0.0)
-    pushed = drive(make_cell(config, beating(n)), lambda k: 5.0 if k == sent else 0.0)
+    flaws = {
+        "delay": delay,
+        "torque_lag": lag,
+        "friction": 1.0,
+        "friction_compensation": 0.8,
+    }
+    quiet = perfect_run(beating(n), 0.0, **flaws)
+    pushed = perfect_run(beating(n), lambda k: 5.0 if k == sent else 0.0, **flaws)
     differs = (quiet.velocity != pushed.velocity).any(axis=1)
     # Measured at k + 1: the velocity that the torque of cycle k has caused.
     assert not differs[: sent + delay + 1].any()
@@ -142,9 +146,7 @@ def test_a_command_arrives_after_the_delay_and_not_earlier(
 
 
 @pytest.mark.parametrize("lag", [0.001, 0.005])
-def test_torque_follows_its_command_with_a_first_order_lag(
-    lag, perfect, make_cell, still, drive
-):
+def test_torque_follows_its_command_with_a_first_order_lag(lag, perfect, make_cell, still, drive):
     config = perfect(torque_lag=lag, velocity_damping=0.0, stiffness=1e-3)
     trace = drive(make_cell(config, still(20), force=np.zeros(3)), (1.0, -1.0, 1.0))
     t = PERIOD * np.arange(20)
@@ -229,7 +231,22 @@ def test_a_measurement_keeps_its_arrays(realistic, make_cell, beating):
         assert np.array_equal(now, then)
 
 
-def test_who_overwrites_a_measurement_does_not_touch_the_plant(realistic, make_cell, beating, drive):
+def test_the_truth_is_that_of_the_measurement_also_after_apply(realistic, make_cell, beating):
+    cell = make_cell(realistic(model="ideal"), beating(20))
+    for _ in range(20):
+        measurement = cell.measure()
+        before = cell.truth()
+        cell.apply(np.ones(3))
+        after = cell.truth()
+        assert np.array_equal(before.force, after.force)
+        assert np.array_equal(before.tissue, after.tissue)
+        spring = 2500.0 * (measurement.position - after.tissue)
+        np.testing.assert_allclose(after.force, spring, atol=1e-9)
+
+
+def test_who_overwrites_a_measurement_does_not_touch_the_plant(
+    realistic, make_cell, beating, drive
+):
     honest = drive(make_cell(realistic(), beating(20)), 1.0)
     cell = make_cell(realistic(), beating(20))
     for k in range(20):

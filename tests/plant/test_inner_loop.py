@@ -40,12 +40,11 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
     "force", [(0.0, 0.0, 0.0), (1.0, 2.0, -10.0), (8.0, -6.0, -30.0)], ids=["free", "paper", "hard"]
 )
 def test_the_tip_is_a_unit_mass_with_damping_under_any_contact_force(
-    axis, force, perfect, make_cell, still, drive
+    axis, force, perfect_run, still
 ):
     """Eqs. (5), (6) and reading 1: v' = u - K2 v, with the contact force cancelled."""
     u = 3.0
-    cell = make_cell(perfect(velocity_damping=DAMPING), still(CYCLES), force=np.array(force))
-    trace = drive(cell, u * np.eye(3)[axis])
+    trace = perfect_run(still(CYCLES), u * np.eye(3)[axis], force, velocity_damping=DAMPING)
     speed = u / DAMPING * (1.0 - np.exp(-DAMPING * TIME))
     # Within 1 %: the loop samples force and speed and holds them for a cycle.
     np.testing.assert_allclose(
@@ -55,7 +54,9 @@ def test_the_tip_is_a_unit_mass_with_damping_under_any_contact_force(
 
 @pytest.mark.parametrize("damping", [0.0, 20.0, 100.0])
 def test_the_velocity_loop_brakes_with_its_gain(damping, perfect, make_cell, still, drive):
-    cell = make_cell(perfect(velocity_damping=damping, stiffness=1e-3), still(80), force=np.zeros(3))
+    cell = make_cell(
+        perfect(velocity_damping=damping, stiffness=1e-3), still(80), force=np.zeros(3)
+    )
     velocity = drive(cell, lambda k: np.full(3, 2.0 if k < 20 else 0.0)).velocity
     decay = (1.0 - damping * PERIOD) ** 50
     np.testing.assert_allclose(velocity[70], decay * velocity[20], rtol=5e-3)
@@ -73,7 +74,9 @@ def test_the_force_is_taken_as_measured_and_with_its_sign():
         np.testing.assert_allclose(added, loop.J[:3].T @ force, atol=1e-12)
 
 
-def test_torque_on_a_moving_arm_gives_the_wanted_tip_acceleration_in_mujoco(perfect, make_cell, still):
+def test_torque_on_a_moving_arm_gives_the_wanted_tip_acceleration_in_mujoco(
+    perfect, make_cell, still
+):
     """tau = M q'' + h + J' F with q'' = J^-1 (goal - J' q'), against MuJoCo's own dynamics."""
     cell = make_cell(perfect(stiffness=1e-6), still(1), force=np.zeros(3))
     model, data = cell.model, cell.data
@@ -118,7 +121,9 @@ def test_orientation_returns_when_it_was_lost():
     loop.observe(q + np.linalg.solve(loop.J, [0, 0, 0, 1e-3, 0, 0]), np.zeros(6))
     loop.torque(np.zeros(3), np.zeros(3))
     wanted = loop._goal[3:]
-    np.testing.assert_allclose(wanted, [-ToolConfig().orientation_stiffness * 1e-3, 0, 0], atol=2e-3)
+    np.testing.assert_allclose(
+        wanted, [-ToolConfig().orientation_stiffness * 1e-3, 0, 0], atol=2e-3
+    )
     assert np.isfinite(at_rest).all()
 
 

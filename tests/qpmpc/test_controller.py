@@ -338,12 +338,29 @@ def test_command_is_held_where_no_usable_answer_comes(
 
 
 @heeding
-def test_contradicting_hard_bounds_hold_the_command(axis: Axis, kind: type[Backend]) -> None:
-    controller = axis.controller(kind, command=(-5.0, 5.0), rate=(-1.0, 1.0))
+@pytest.mark.parametrize("decision", ["increment", "absolute"])
+def test_contradicting_hard_bounds_are_said_and_the_command_bound_wins(
+    axis: Axis, kind: type[Backend], decision: str
+) -> None:
+    controller = axis.controller(kind, decision=decision, command=(-5.0, 5.0), rate=(-1.0, 1.0))
     controller.reset([2.0, 0, 90.0, 0], 90.0)
-    step = controller.step(np.array([2.0, 0.0]), preview(2.0))
+    measured = np.array([2.0, 0.0])
+    step = controller.step(measured, preview(2.0))
     assert step.status is Status.INFEASIBLE
-    assert step.command[0] == 90.0
+    assert step.command[0] == 5.0
+    x = controller.observer.state
+    rest = np.full((N, 1), 5.0)
+    expected = [(x := axis.model.A @ x + axis.model.B @ u)[0] for u in rest]
+    np.testing.assert_allclose(step.predicted[:, 0], expected, rtol=1e-10)
+    assert controller.step(measured, preview(2.0)).status is Status.SOLVED
+
+
+@pytest.mark.parametrize("previous", [0.7, 3.0])
+def test_command_held_is_held_within_the_bounds(axis: Axis, liar: Any, previous: float) -> None:
+    failing = liar(lambda q, l, u: (np.zeros(N), np.zeros(l.size)), Status.FAILED)  # noqa: E741
+    controller = axis.controller(failing, command=(-1.0, 1.0))
+    controller.reset([2.0, 0, 0, 0], previous)
+    assert controller.step(np.array([2.0, 0.0]), preview(9.0)).command[0] == min(previous, 1.0)
 
 
 @backends

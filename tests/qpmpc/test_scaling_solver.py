@@ -153,7 +153,7 @@ def test_residuals_vanish_at_the_optimum_alone(
     q, l, u = np.diag([1e3, 1e-2]) @ [2.0, -0.3], qp.l, qp.u
     residuals = Solver(qp, liar(truth)).solve(q, l, u).residuals
     assert max(residuals.primal, residuals.dual, residuals.gap) < 1e-9
-    for size in (1e-5, 1e-3, 1e-1):
+    for size in (1e-3, 1e-2, 1e-1):
         for _ in range(10):
             off = size * rng.choice([-1.0, 1.0], 2) * rng.uniform(0.5, 1.0, 2)
             for moved in ((off, 0 * off), (0 * off, off)):
@@ -201,11 +201,37 @@ def test_multiplier_beyond_the_penalty_of_a_soft_row_is_a_lie(liar: Any) -> None
     assert solution.status is Status.INACCURATE
 
 
-def test_answers_within_the_tolerance_count_as_solved(liar: Any) -> None:
-    qp = QuadraticProgram(EYE, [0.0, 0.0], EYE, -1.0, 1.0)
-    for size, status in ((0.5 * TOLERANCE, Status.SOLVED), (2 * TOLERANCE, Status.INACCURATE)):
-        lie = liar(lambda q, l, u, size=size: (np.full(2, size), np.zeros(2)))
-        assert Solver(qp, lie).solve(qp.q, qp.l, qp.u).status is status
+@pytest.mark.parametrize("size", [0.0, 1.0, 50.0])
+def test_tolerance_is_relative_to_the_size_of_the_problem(liar: Any, size: float) -> None:
+    qp = QuadraticProgram(EYE, [size, 0.0], EYE, -1e3, 1e3)
+    level = TOLERANCE * (1 + size)
+    for error, status in ((0.5 * level, Status.SOLVED), (2 * level, Status.INACCURATE)):
+        x = np.array([-size, error])
+        kind = liar(lambda q, l, u, x=x: (x, np.zeros(2)))
+        assert Solver(qp, kind).solve(qp.q, qp.l, qp.u).status is status
+
+
+@pytest.mark.parametrize(("axes", "horizon"), [(1, 1), (1, 8), (3, 8), (1, 32)])
+def test_what_passes_as_solved_is_right_to_a_ten_thousandth_of_the_command_bound(
+    contact_problem: Any, instance: Any, liar: Any, axes: int, horizon: int
+) -> None:
+    rng = np.random.default_rng(horizon)
+    passed = refused = 0
+    for _ in range(5):
+        problem = contact_problem(rng, axes, horizon, free=True)
+        for size in np.logspace(-7, 0, 30):
+            off = size * rng.standard_normal(problem.qp.n)
+            kind = liar(lambda q, l, u, off=off: (off - q, np.zeros(0)))
+            q, l, u = instance(rng, problem).vectors()
+            solution = Solver(problem.qp, kind).solve(q, l, u)
+            right = np.linalg.solve(problem.qp.P, -q)
+            if solution.status is Status.SOLVED:
+                assert np.abs(solution.x - right)[:axes].max() <= 1e-4 * 20.0
+                passed += 1
+            else:
+                refused += 1
+    assert passed >= 10
+    assert refused >= 10
 
 
 @pytest.mark.parametrize(
@@ -227,11 +253,20 @@ def test_what_is_not_finite_is_never_called_solved(
     assert np.isnan(solution.x).all() == (status is Status.FAILED)
 
 
-@pytest.mark.parametrize("status", [s for s in Status if s is not Status.SOLVED])
-def test_a_solver_that_admits_failure_is_believed(liar: Any, status: Status) -> None:
+@pytest.mark.parametrize("status", [Status.FAILED, Status.INFEASIBLE])
+def test_a_solver_that_has_nothing_is_believed(liar: Any, status: Status) -> None:
     qp = QuadraticProgram(EYE, [0.0, 0.0], EYE, -1.0, 1.0)
     kind = liar(lambda q, l, u: (np.zeros(2), np.zeros(2)), status)
     assert Solver(qp, kind).solve(qp.q, qp.l, qp.u).status is status
+
+
+@pytest.mark.parametrize("status", [Status.INACCURATE, Status.ITERATION_LIMIT])
+@pytest.mark.parametrize("right", [True, False])
+def test_a_solver_that_doubts_its_answer_is_checked(liar: Any, status: Status, right: bool) -> None:
+    qp = QuadraticProgram(EYE, [-0.5, 0.0], EYE, -1.0, 1.0)
+    answer = np.array([0.5, 0.0]) if right else np.array([0.4, 0.0])
+    solver = Solver(qp, liar(lambda q, l, u: (answer, np.zeros(2)), status))
+    assert solver.solve(qp.q, qp.l, qp.u).status is (Status.SOLVED if right else status)
 
 
 def test_infeasible_comes_without_an_answer(liar: Any) -> None:

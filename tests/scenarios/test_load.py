@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
 
 from plant import CellConfig
-from qpmpc.config import ControllerConfig
+from plant.sensors import SENSORS
+from qpmpc.config import ControllerConfig, ObserverConfig
 from scenarios import (
     Scenario,
     ScenarioError,
@@ -97,15 +98,26 @@ def test_every_key_is_in_the_dump():
 
 def test_what_a_file_leaves_out_is_as_in_the_records(write):
     scenario = load_scenario(write(""))
-    assert scenario == Scenario(name="mine")
+    observer = replace(ObserverConfig(), force_noise=SENSORS["nano17"].deviation)
+    assert scenario == Scenario(name="mine", controller=ControllerConfig(observer=observer))
     assert scenario.cell == CellConfig()
-    assert scenario.controller == ControllerConfig()
     assert scenario.motion == MotionConfig()
     assert scenario.setpoint == SetpointConfig()
     part = load_scenario(write("[cell.contact]\nstiffness = 800.0\n"))
     assert part.cell.contact.stiffness == 800.0
     assert part.cell.contact.damping == CellConfig().contact.damping
     assert part.cell.tool == CellConfig().tool
+
+
+@pytest.mark.parametrize("model", sorted(SENSORS))
+def test_the_observer_is_told_the_noise_of_its_sensor_unless_the_scenario_says(model, write):
+    sensor = f"cell.sensor.model={model}"
+    known = load_scenario("paper", settings=[sensor]).controller.observer.force_noise
+    assert known == SENSORS[model].deviation
+    file = write(f"[cell]\nsensor.model = '{model}'\n")
+    assert load_scenario(file).controller.observer.force_noise == known
+    given = load_scenario("paper", settings=[sensor, "controller.observer.force_noise=0.5"])
+    assert given.controller.observer.force_noise == 0.5
 
 
 def test_infinite_bounds_and_none_survive_the_dump(write):
@@ -180,6 +192,11 @@ WRONG = [
     ("cell.substeps = 8.5", "cell.substeps"),
     ("cell.contact.stiffness = true", "cell.contact.stiffness"),
     ("cell.sensor.model = 'nano18'", "cell.sensor.model"),
+    ("cell.sensor.model = ['nano17']", "cell.sensor.model"),
+    ("cell.sensor.model = {name = 'nano17'}", "cell.sensor.model"),
+    ("cell.sensor.model = 17", "cell.sensor.model"),
+    ("cell.sensor = 'nano17'", "cell.sensor"),
+    ("controller.observer = 'none'", "controller.observer"),
     ("controller.observer.disturbance = 'constent'", "controller.observer.disturbance"),
     ("controller.bounds.command = 20.0", "controller.bounds.command"),
     ("controller.bounds.command = [1.0]", "controller.bounds.command.1"),
@@ -244,7 +261,9 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("text", "key"), WRONG, ids=[text.replace("\n", "; ") for text, _ in WRONG])
+@pytest.mark.parametrize(
+    ("text", "key"), WRONG, ids=[text.replace("\n", "; ") for text, _ in WRONG]
+)
 def test_a_wrong_value_is_told_with_file_and_key(text, key, write):
     with pytest.raises(ScenarioKeyError) as caught:
         load_scenario(write(text))
@@ -296,7 +315,11 @@ def test_an_unknown_scenario_is_told_with_the_nearest_one():
         ("seed = 7", lambda s: s.seed, 7),
         ("cell.sensor.model=mini45", lambda s: s.cell.sensor.model, "mini45"),
         ('cell.sensor.model="mini45"', lambda s: s.cell.sensor.model, "mini45"),
-        ("controller.bounds.rate=[-1.0, inf]", lambda s: s.controller.bounds.rate, (-1.0, float("inf"))),
+        (
+            "controller.bounds.rate=[-1.0, inf]",
+            lambda s: s.controller.bounds.rate,
+            (-1.0, float("inf")),
+        ),
         ("axes=['z']", lambda s: s.axes, ("z",)),
         ("description=a = b", lambda s: s.description, "a = b"),
     ],

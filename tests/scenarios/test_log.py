@@ -27,7 +27,9 @@ def filled(cycles: int, rows: int, axes=("x", "z")) -> Log:
         step = controller.step(np.array([1.1, -9.0]), np.zeros(2), preview)
         if k % 2:
             step = replace(step, status=Status.CLIPPED)
-        measurement = Measurement(k * 1e-3, np.full(3, k + 0.1), np.full(3, k + 0.2), np.full(3, k + 0.3))
+        measurement = Measurement(
+            k * 1e-3, np.full(3, k + 0.1), np.full(3, k + 0.2), np.full(3, k + 0.3)
+        )
         truth = Truth(np.full(3, k + 0.4), np.full(3, k + 0.5), np.full(6, k + 0.6), k % 3 == 0)
         log.record(
             measurement,

@@ -42,12 +42,31 @@ class Springs:
         return Truth(self.force.copy(), self.tissue.copy(), np.zeros(6), False)
 
 
+class Exact(Springs):
+    """The model itself as a plant: exact hold, whole cycles of delay, tissue at rest."""
+
+    def __init__(self, delay):
+        super().__init__()
+        self.line = [np.zeros(3)] * delay
+
+    def apply(self, command):
+        self.line = [*self.line, command.copy()]
+        u, self.line = self.line[0], self.line[1:]
+        decay = np.exp(-DAMPING * PERIOD)
+        final = u / DAMPING
+        self.x = self.x + final * PERIOD + (self.v - final) * (1.0 - decay) / DAMPING
+        self.v = final + (self.v - final) * decay
+        self.k += 1
+
+
 class Bench:
     """Controller, setpoint and log for a plant."""
 
-    def __init__(self, cycles=1000, axes=("x", "y", "z"), steps=(), disturbance="constant"):
+    def __init__(
+        self, cycles=1000, axes=("x", "y", "z"), steps=(), disturbance="constant", delay=0
+    ):
         config = ControllerConfig(
-            model=ModelConfig(stiffness=STIFFNESS, velocity_damping=DAMPING, delay=0, lag=0.0),
+            model=ModelConfig(stiffness=STIFFNESS, velocity_damping=DAMPING, delay=delay, lag=0.0),
             observer=ObserverConfig(disturbance=disturbance),
         )
         self.controller = ForceController(config, axes, PERIOD)
@@ -87,6 +106,18 @@ def test_a_step_of_the_setpoint_is_reached():
     np.testing.assert_allclose(bench.log.force[-1], [3.0, 2.0, -5.0], atol=0.02)
 
 
+@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize("disturbance", ["none", "constant", "ramp", "fused"])
+def test_in_closed_loop_the_predicted_force_is_the_force_that_comes(disturbance, delay):
+    """On its own model, to rounding: Theta's diagonal, the delay, K_s and K2 are all in here."""
+    steps = (SetpointStep(0.05, x=3.0, y=1.0, z=-7.0),)
+    bench = Bench(cycles=200, steps=steps, disturbance=disturbance, delay=delay)
+    assert bench.run(Exact(delay))
+    log = bench.log
+    np.testing.assert_allclose(log.force_predicted[:-1], log.force[1:], atol=1e-8)
+    assert np.abs(np.diff(log.command, axis=0)).max() > 1.0
+
+
 @pytest.mark.parametrize("axes", [("z",), ("y", "x"), ("z", "x", "y")])
 def test_columns_of_the_controller_meet_the_axes_of_the_plant(axes):
     steps = (SetpointStep(0.1, x=3.0, y=4.0, z=-5.0),)
@@ -102,7 +133,7 @@ def test_columns_of_the_controller_meet_the_axes_of_the_plant(axes):
 
 
 def test_rows_of_the_log_belong_together():
-    plant, bench = Springs(swing=1e-3), Bench(cycles=50)
+    plant, bench = Springs(swing=1e-3), Bench(cycles=50, steps=(SetpointStep(0.02, z=-9.0),))
     bench.run(plant)
     log = bench.log
     np.testing.assert_allclose(log.time, PERIOD * np.arange(50))

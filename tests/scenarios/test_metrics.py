@@ -13,6 +13,7 @@ from scenarios.metrics import PAPER, statistics
 from scenarios.results import to_json
 
 CYCLES = 1000
+SETPOINT = np.array([1.0, 2.0, -10.0])
 KEYS = {"rms", "max", "peak_to_peak"}
 PERCENTILES = {"p50", "p99", "p999", "max"}
 
@@ -24,9 +25,9 @@ def experiment(rows=CYCLES, *, held=True, stopped=None, axes=("x", "y", "z")) ->
     n = len(axes)
     log.setpoint[:] = [{"x": 1.0, "y": 2.0, "z": -10.0}[axis] for axis in axes]
     log.setpoint[CYCLES // 2 :, -1] += 0.5
-    log.force[:] = np.array([1.0, 2.0, -10.0]) + rng.normal(0.01, [0.02, 0.03, 0.05], (CYCLES, 3))
+    log.force[:] = SETPOINT + rng.normal(0.01, [0.02, 0.03, 0.05], (CYCLES, 3))
     if held:
-        log.force_uncompensated[:] = [1.0, 2.0, -10.0] + rng.normal(0, [1.0, 1.6, 3.5], (CYCLES, 3))
+        log.force_uncompensated[:] = SETPOINT + rng.normal(0, [1.0, 1.6, 3.5], (CYCLES, 3))
     log.command[:] = rng.normal(0, 5, (CYCLES, n))
     log.torque_saturated[::10] = True
     log.command_saturated[::4] = True
@@ -63,7 +64,9 @@ def test_every_stable_key_is_there(summary):
     assert {"solve_us", "cycle_us", "misses"} <= set(summary["timing"])
     assert set(summary["timing"]["solve_us"]) == set(summary["timing"]["cycle_us"]) == PERCENTILES
     assert set(summary["saturation"]) == {"torque", "command"}
-    assert {"python", "numpy", "mujoco", "pin", "osqp", "daqp", "pulsempc"} <= set(summary["versions"])
+    assert {"python", "numpy", "mujoco", "pin", "osqp", "daqp", "pulsempc"} <= set(
+        summary["versions"]
+    )
     assert summary["versions"]["numpy"] == np.__version__
 
 

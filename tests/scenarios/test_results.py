@@ -128,7 +128,10 @@ def test_a_failure_on_the_way_leaves_nothing(error, place, tmp_path):
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
-    with pytest.raises(ScenarioError, match="No space left") as caught, result_folder(tmp_path / "r"):
+    with (
+        pytest.raises(ScenarioError, match="No space left") as caught,
+        result_folder(tmp_path / "r"),
+    ):
         raise OSError(28, "No space left on device")
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
