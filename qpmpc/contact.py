@@ -32,7 +32,8 @@ class ContactModel:
     model: LinearModel
     """(A, B, C) from u to y."""
     load: Array
-    """Column by which a disturbing acceleration d [m/s^2] enters, ``(n, 1)``."""
+    """Column by which a disturbing acceleration d [m/s^2] enters, ``(n, 1)``. With the tool
+    kept apart it drives the relative velocity alone: there it is mostly the tissue's motion."""
     tissue: Array
     """Column by which the tissue's velocity v_e [m/s] enters, ``(n, 1)``."""
     velocity: Array

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, all_finite
 from qpmpc.backends import Backend
+from qpmpc.errors import ShapeError
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
 from qpmpc.solver import Residuals, Solver
@@ -47,7 +48,7 @@ class Step:
     predicted: Array
     """Outputs y(k+1) ... y(k+N) under the decision, ``(N, n_outputs)``."""
     slack: Mapping[str, Array]
-    """Violation of every bound by the plan, by the bound's name, in the bound's unit."""
+    """Violation by the plan of every bound that has rows, by its name, in its unit."""
     residuals: Residuals
     iterations: int
     times: Times
@@ -90,6 +91,7 @@ class Controller:
         n_u, n_y = problem.model.n_inputs, problem.model.n_outputs
         self._n_u, self._shape = n_u, (problem.horizon, n_y)
         self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
+        self._measured, self._previewed = (observer.gain.shape[1],), (problem.horizon + 1, n_y)
         self._output = np.zeros(n_y)
         self._prepared = True
         self.command = np.zeros(n_u)
@@ -118,8 +120,13 @@ class Controller:
         Args:
             measurement: what the observer measures, ``(n_measured,)``.
             preview: setpoint s(k) ... s(k+N), ``(N + 1, n_outputs)``.
+
+        Raises:
+            ShapeError: an argument has another shape.
         """
         begin = perf_counter()
+        if measurement.shape != self._measured or preview.shape != self._previewed:
+            self._complain(measurement, preview)
         self.prepare()
         problem, previous = self.problem, self.command
         measured = all_finite(measurement)
@@ -159,6 +166,11 @@ class Controller:
             solution.iterations,
             Times(updated - begin + solution.update_time, solution.solve_time, now - begin),
         )
+
+    def _complain(self, measurement: Array, preview: Array) -> None:
+        if measurement.shape != self._measured:
+            raise ShapeError("measurement", str(self._measured), measurement.shape)
+        raise ShapeError("preview", str(self._previewed), preview.shape)
 
     def __repr__(self) -> str:
         return f"Controller({self.problem!r}, backend='{self.solver.backend_name}')"

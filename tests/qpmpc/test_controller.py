@@ -17,6 +17,7 @@ from qpmpc import (
     Problem,
     RateBound,
     RawSolution,
+    ShapeError,
     Status,
     Step,
     available,
@@ -182,6 +183,17 @@ def test_measurement_and_preview_are_left_as_they_are(axis: Axis) -> None:
     controller.step(measured, s)
     np.testing.assert_array_equal(measured, [2.0, 0.05])
     np.testing.assert_array_equal(s, preview(3.0))
+
+
+@pytest.mark.parametrize(
+    ("measured", "previewed", "argument"),
+    [((1,), (N + 1, 1), "measurement"), ((2,), (2, 1), "preview"), ((2,), (N + 1,), "preview")],
+)
+def test_another_shape_is_refused_and_not_broadcast(
+    axis: Axis, measured: tuple[int, ...], previewed: tuple[int, ...], argument: str
+) -> None:
+    with pytest.raises(ShapeError, match=argument):
+        axis.controller().step(np.zeros(measured), np.zeros(previewed))
 
 
 def test_reset_forgets_everything(axis: Axis) -> None:
