@@ -1,5 +1,6 @@
 """The two-robot cell: MuJoCo physics, Robot_Heart's programme, Robot_Tool's inner loop, sensors."""
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -137,11 +138,11 @@ class Cell:
         """
         if self._cycle >= self.cycles:
             raise PlantError(f"the motion ended after {self.cycles} cycles")
-        if not np.isfinite(command).all():
+        if not math.isfinite(sum(command.tolist())):
             raise PlantError(f"command {command} at t = {self._cycle * self.period:.3f} s")
         wanted = self._inner.torque(command, self._read)
         torque = np.minimum(np.maximum(wanted, -self._limit), self._limit)
-        self._saturated = bool((torque != wanted).any())
+        self._saturated = bool(np.count_nonzero(torque != wanted))
         self._torque = torque
         self._line.append(torque)
         np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)

@@ -68,7 +68,9 @@ class InnerLoop:
         """Velocity and angular velocity of the tip, ``(6,)`` [m/s, rad/s]."""
         self._goal = np.zeros(6)
         self._q, self._qdot, self._zero = np.zeros(6), np.zeros(6), np.zeros(6)
-        self._rotation, self._place = np.eye(3), np.zeros(3)
+        self._held, self._place = np.eye(3), np.zeros(3)
+        pose = self._data.oMf[self._tip]  # views into pinocchio's memory, up to date by themselves
+        self._rotation, self._translation = pose.rotation, pose.translation
         self.J = np.zeros((6, 6))
         """Jacobian of the tip at the last `observe`, linear rows first, ``(6, 6)``."""
         self.position = np.zeros(3)
@@ -76,9 +78,8 @@ class InnerLoop:
 
     def hold(self) -> None:
         """Take the pose of the last `observe` as the one to be held."""
-        pose = self._data.oMf[self._tip]
-        self._rotation = pose.rotation.copy()
-        self._place = pose.translation.copy()
+        self._held = self._rotation.copy()
+        self._place = self._translation.copy()
 
     def observe(self, q: FloatArray, qdot: FloatArray) -> None:
         """Take in the encoders' joint angles and speeds, ``(6,)`` each [rad], [rad/s]."""
@@ -88,7 +89,7 @@ class InnerLoop:
         pin.computeJointJacobians(model, data)
         pin.updateFramePlacement(model, data, self._tip)
         self.J = pin.getFrameJacobian(model, data, self._tip, _WORLD_ALIGNED)
-        self.position = data.oMf[self._tip].translation.copy()
+        self.position = self._translation.copy()
         np.dot(self.J, self._qdot, out=self.twist)
 
     def torque(self, command: FloatArray, force: FloatArray) -> FloatArray:
@@ -100,7 +101,7 @@ class InnerLoop:
         """
         model, data, error = self._model, self._data, self._error
         np.subtract(self._place, self.position, out=error[:3])
-        error[3:] = pin.log3(self._rotation @ data.oMf[self._tip].rotation.T)
+        error[3:] = pin.log3(self._held @ self._rotation.T)
         self._command[:] = command
         goal = np.dot(self._gains, self._inputs, out=self._goal)
         goal -= pin.getFrameClassicalAcceleration(model, data, self._tip, _WORLD_ALIGNED).vector

@@ -141,7 +141,7 @@ class Controller:
             command = problem.command(decision, previous)
             low, high = problem.limits(previous)
             clipped = np.minimum(np.maximum(command, low), high)
-            if (clipped != command).any():
+            if np.count_nonzero(clipped != command):
                 tolerance = _CLIP_TOLERANCE * np.minimum(high - low, 1e12)
                 if status is Status.SOLVED and (np.abs(clipped - command) > tolerance).any():
                     status = Status.CLIPPED

@@ -65,7 +65,7 @@ def control_loop(
             controller.prepare()
             cycle_time = decided - begin + perf_counter() - applied
             u = step.command
-            saturated = bool((u <= low).any() or (u >= high).any())
+            saturated = bool(np.count_nonzero((u <= low) | (u >= high)))
             log.record(
                 measurement,
                 plant.truth(),

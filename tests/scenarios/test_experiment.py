@@ -92,6 +92,12 @@ def test_ideal_reduces_the_force_error_as_promised(axis, ideal):
     assert ideal.summary["saturation"]["command"] < 1e-3
 
 
+def test_on_ideal_the_prediction_is_what_comes_to_a_tenth_of_a_millinewton(ideal):
+    """Tight enough for a wrong CB, which the force error alone would forgive."""
+    error = ideal.log.force[1:] - ideal.log.force_predicted[:-1]
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 1e-4
+
+
 @pytest.mark.parametrize("axis", "xyz")
 def test_the_papers_law_lands_in_the_papers_range(axis, paper_law):
     assert 50.0 <= paper_law.summary["axes"][axis]["reduction"]["rms"] <= 95.0
