@@ -18,6 +18,9 @@ TOLERANCE = 1e-6
 """Largest residual with which an answer counts as solved, relative to the problem's size."""
 _JUDGED = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
 """What a backend may say of an answer that is worth a check."""
+_DOUBTFUL = (Status.INACCURATE, Status.FAILED)
+"""What is worth a second attempt from a cold start."""
+_WITHOUT_ANSWER = (Status.INFEASIBLE, Status.FAILED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,9 @@ class Residuals:
     """Largest entry of ``P x + q + A' y``."""
     gap: float
     """Largest violation of complementarity: a multiplier on a row that is not at its bound."""
+
+
+_UNKNOWN = Residuals(float("nan"), float("nan"), float("nan"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +85,7 @@ class Solver:
         self._hard = np.isinf(scaled.linear)
         self._linear = np.where(self._hard, 0.0, scaled.linear)
         self._quadratic2 = 2.0 * scaled.quadratic
+        self._answer = np.zeros(qp.n)
         self._x, self._gradient, self._work = (np.zeros(qp.n) for _ in range(3))
         self._Ax, self._over, self._under, self._s, self._price = (np.zeros(qp.m) for _ in range(5))
 
@@ -93,24 +100,30 @@ class Solver:
             return self._failure(Status.FAILED, 0, begin)
         scaling.update(q, l, u)
         ready = perf_counter()
-        raw = self._backend.solve(scaling.q, scaling.l, scaling.u)
-        done = perf_counter()
-        if raw.status is Status.INFEASIBLE:  # there is no answer, whatever stands in its place
-            return self._failure(Status.INFEASIBLE, raw.iterations, begin)
-        if not all_finite(raw.x):
-            return self._failure(Status.FAILED, raw.iterations, begin)
-        residuals = self._check(raw.x, raw.y)
-        np.dot(scaling.T, raw.x, out=self._x)
+        status, residuals, iterations, spent = self._attempt()
+        if status in _DOUBTFUL:  # once more, without what the solver started from
+            self._backend.forget()
+            status, residuals, again, more = self._attempt()
+            iterations, spent = iterations + again, spent + more
+        if status in _WITHOUT_ANSWER:
+            return self._failure(status, iterations, begin)
+        np.dot(scaling.T, self._answer, out=self._x)
         self._s /= scaling.E
-        return Solution(
-            self._judge(raw.status, residuals),
-            self._x,
-            self._s,
-            residuals,
-            raw.iterations,
-            ready - begin,
-            done - ready,
-        )
+        return Solution(status, self._x, self._s, residuals, iterations, ready - begin, spent)
+
+    def _attempt(self) -> tuple[Status, Residuals, int, float]:
+        """Let the backend solve, keep its answer in scaled variables, and judge it."""
+        scaling = self._scaling
+        begin = perf_counter()
+        raw = self._backend.solve(scaling.q, scaling.l, scaling.u)
+        spent = perf_counter() - begin
+        if raw.status is Status.INFEASIBLE:  # there is no answer, whatever stands in its place
+            return raw.status, _UNKNOWN, raw.iterations, spent
+        if not all_finite(raw.x):
+            return Status.FAILED, _UNKNOWN, raw.iterations, spent
+        self._answer = raw.x
+        residuals = self._check(raw.x, raw.y)
+        return self._judge(raw.status, residuals), residuals, raw.iterations, spent
 
     def _check(self, x: Array, y: Array) -> Residuals:
         """Compute residuals and, as a by-product, the violation of each row into ``_s``."""
@@ -161,16 +174,7 @@ class Solver:
     def _failure(self, status: Status, iterations: int, begin: float) -> Solution:
         self._x.fill(np.nan)
         self._s.fill(np.nan)
-        nan = float("nan")
-        return Solution(
-            status,
-            self._x,
-            self._s,
-            Residuals(nan, nan, nan),
-            iterations,
-            perf_counter() - begin,
-            0.0,
-        )
+        return Solution(status, self._x, self._s, _UNKNOWN, iterations, perf_counter() - begin, 0.0)
 
 
 def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741

@@ -40,6 +40,9 @@ class AnalyticBackend:
             raise BackendSetupError(self.name, f"P is not positive definite ({error})") from error
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
 
+    def forget(self) -> None:
+        """Nothing is remembered."""
+
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: ARG002, E741
         """Multiply the gain with ``q``."""
         np.dot(self._gain, q, out=self._answer.x)

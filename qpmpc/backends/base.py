@@ -44,6 +44,10 @@ class Backend(Protocol):
         """Set the solver up and prime it, so that the first `solve` costs what later ones do."""
         ...
 
+    def forget(self) -> None:
+        """Forget what the next solve would start from; called where an answer fails the check."""
+        ...
+
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)``."""
         ...

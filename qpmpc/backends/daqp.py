@@ -50,9 +50,10 @@ class DaqpBackend:
         soft = np.isfinite(qp.linear)
         rows = max(qp.m, 1)  # DAQP wants one: without rows, one that bounds nothing
         self._l, self._u = np.full(rows, -_FAR), np.full(rows, _FAR)
+        self._sense = np.resize(np.where(soft, _SOFT, 0), rows).astype(np.int32)
         flag, _ = self._model.setup(
             np.array(qp.P), np.array(qp.q), np.array(qp.A) if qp.m else np.ones((1, qp.n)),
-            self._u, self._l, np.resize(np.where(soft, _SOFT, 0), rows).astype(np.int32),
+            self._u, self._l, self._sense,
         )  # fmt: skip
         if flag < 0:
             raise BackendSetupError(self.name, f"DAQP refused the problem (flag {flag})")
@@ -62,6 +63,10 @@ class DaqpBackend:
             self._model.soft_weights(rho_l=give, rho_u=give, w_l=linear, w_u=linear)
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
         self.solve(np.zeros(qp.n), self._l[: qp.m].copy(), self._u[: qp.m].copy())
+
+    def forget(self) -> None:
+        """Empty the active set: from a warm one DAQP now and then ends where it should not."""
+        self._model.update(sense=self._sense)
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Update the vectors and solve from the last active set."""

@@ -98,6 +98,10 @@ class OsqpBackend:
         self._solver.warm_start(x=self._start, y=self._idle)
         self._solver.solve(raise_error=False)
 
+    def forget(self) -> None:
+        """Take the multipliers of the case that no row is active."""
+        self._solver.warm_start(y=self._idle)
+
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Update the vectors, run OSQP from the unconstrained minimiser, polish."""
         form, answer, start, n = self._form, self._answer, self._start, self._n

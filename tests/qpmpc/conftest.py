@@ -172,6 +172,9 @@ class _Liar:
     def __init__(self, qp: QuadraticProgram) -> None:
         self.qp = qp
 
+    def forget(self) -> None:
+        pass
+
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         x, y = type(self).answer(q, l, u)
         return RawSolution(self.status, x, y, 1)

@@ -417,6 +417,9 @@ def test_any_class_with_the_members_will_do(axis: Axis) -> None:
         def __init__(self, qp: Any) -> None:
             self.n, self.m = qp.n, qp.m
 
+        def forget(self) -> None:
+            pass
+
         def solve(self, q: Any, l: Any, u: Any) -> RawSolution:  # noqa: E741
             return RawSolution(Status.SOLVED, np.zeros(self.n), np.zeros(self.m), 0)
 

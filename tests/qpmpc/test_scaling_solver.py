@@ -12,6 +12,7 @@ from qpmpc import (
     OutputBound,
     Problem,
     QuadraticProgram,
+    RawSolution,
     Solver,
     Status,
     UnknownNameError,
@@ -362,3 +363,24 @@ def test_analytic_needs_a_definite_hessian() -> None:
 def test_status_that_may_be_applied() -> None:
     usable = {s for s in Status if s.usable}
     assert usable == {Status.SOLVED, Status.CLIPPED, Status.INACCURATE}
+
+
+def test_an_answer_that_fails_the_check_gets_a_second_attempt_from_cold(liar: Any) -> None:
+    qp = QuadraticProgram(EYE, [-3.0, 0.0], EYE, -1.0, 1.0)
+    right = np.array([1.0, 0.0]), np.array([2.0, 0.0])
+    kind = liar(lambda q, l, u: (np.zeros(2), np.zeros(2)))
+
+    class Recovers(kind):  # type: ignore[misc, valid-type]
+        cold = False
+
+        def forget(self) -> None:
+            self.cold = True
+
+        def solve(self, q: Any, l: Any, u: Any) -> RawSolution:
+            answer = right if self.cold else (np.zeros(2), np.zeros(2))
+            return RawSolution(Status.SOLVED, *answer, 1)
+
+    solution = Solver(qp, Recovers).solve(qp.q, qp.l, qp.u)
+    assert solution.status is Status.SOLVED
+    assert solution.iterations == 2
+    np.testing.assert_allclose(solution.x, right[0])
