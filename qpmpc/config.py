@@ -47,7 +47,7 @@ class ObserverConfig:
     input_drift: Annotated[float, Gt(0)] = 0.3
     """``constant``, ``fused`` (input error): change of the disturbance per cycle [m/s^2],
     standard deviation."""
-    input_slope_drift: Annotated[float, Gt(0)] = 300.0
+    input_slope_drift: Annotated[float, Gt(0)] = 3.0
     """``ramp``: change per cycle of the disturbance's slope [m/s^3], standard deviation."""
     tissue_jerk_drift: Annotated[float, Gt(0)] = 100.0
     """``fused``: change per cycle of the tissue's jerk [m/s^3], standard deviation."""

@@ -47,11 +47,18 @@ class Step:
     """Increments Delta u(k) ... (absolute commands where so configured), ``(N_u, n_inputs)``."""
     predicted: Array
     """Outputs y(k+1) ... y(k+N) under the decision, ``(N, n_outputs)``."""
-    slack: Mapping[str, Array]
-    """Violation by the plan of every bound that has rows, by its name, in its unit."""
+    violation: Array
+    """What each row of the QP gave way, in its own unit, ``(m,)``."""
+    rows: Mapping[str, slice]
+    """Where each bound's rows are."""
     residuals: Residuals
     iterations: int
     times: Times
+
+    @property
+    def slack(self) -> dict[str, Array]:
+        """Violation by the plan of every bound that has rows, by its name, in its unit."""
+        return {name: self.violation[rows] for name, rows in self.rows.items()}
 
     def __repr__(self) -> str:
         return (
@@ -152,7 +159,6 @@ class Controller:
             decision = problem.hold(previous, command)
         predicted = self._Theta @ decision
         predicted += problem.free
-        slack = solution.slack.copy()
         self.command[:] = command
         self._prepared = False
         now = perf_counter()
@@ -161,7 +167,8 @@ class Controller:
             command,
             decision.reshape(-1, self._n_u),
             predicted.reshape(self._shape),
-            {name: slack[rows] for name, rows in problem.rows.items()},
+            solution.slack.copy(),
+            problem.rows,
             solution.residuals,
             solution.iterations,
             Times(updated - begin + solution.update_time, solution.solve_time, now - begin),

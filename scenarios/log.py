@@ -28,7 +28,8 @@ class Log:
         Args:
             cycles: length of the run.
             axes: axes under force control.
-            bounds: names of the bounds whose violation by the plan is recorded.
+            bounds: names of the bounds whose worst violation by the plan is recorded, all that
+                have rows, in the order of the rows.
         """
         n = len(axes)
         self.axes, self.cycles = tuple(axes), 0
@@ -47,6 +48,7 @@ class Log:
         self.torque_saturated = np.zeros(cycles, dtype=bool)
         self.command_saturated = np.zeros(cycles, dtype=bool)
         self.slack = np.zeros((cycles, len(self.bounds)))
+        self._starts: list[int] | None = None
         self.residual = np.zeros(cycles)
         self.iterations = np.zeros(cycles, dtype=np.int32)
         self.status = np.zeros(cycles, dtype=np.int8)
@@ -77,8 +79,10 @@ class Log:
         self.torque[k] = truth.torque
         self.torque_saturated[k] = truth.saturated
         self.command_saturated[k] = saturated
-        for i, name in enumerate(self.bounds):
-            self.slack[k, i] = step.slack[name].max()
+        if self.bounds:
+            if self._starts is None:
+                self._starts = [step.rows[name].start for name in self.bounds]
+            np.maximum.reduceat(step.violation, self._starts, out=self.slack[k])
         residuals = step.residuals
         self.residual[k] = max(residuals.primal, residuals.dual, residuals.gap)
         self.iterations[k] = step.iterations

@@ -64,8 +64,8 @@ def control_loop(
             applied = perf_counter()
             controller.prepare()
             cycle_time = decided - begin + perf_counter() - applied
-            u = step.command
-            saturated = bool(np.count_nonzero((u <= low) | (u >= high)))
+            u = step.command.tolist()
+            saturated = min(u) <= low or max(u) >= high
             log.record(
                 measurement,
                 plant.truth(),
