@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from bench.cli import INTERRUPTED
 from bench.figures import draw_forces
 from bench.progress import Reporter, ctrl_c
 from bench.table import backend_table, force_table, scenario_table, timing_lines
@@ -16,7 +17,7 @@ from qpmpc.backends import available, backend_class
 from scenarios import load_scenario, run_experiment, shipped, summarise
 from scenarios.results import result_folder, to_json, write_run
 
-FAILED, INTERRUPTED = 1, 130
+FAILED = 1
 _arg = tyro.conf.arg
 
 

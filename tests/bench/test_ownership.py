@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 
 from bench import cli, ownership
@@ -45,3 +48,12 @@ def test_the_command_line_refuses_to_start(arguments, monkeypatch, capsys, tmp_p
     for word in ("'qpmpc' by qpmpc", "'plant' by other-plant", "pip uninstall other-plant qpmpc"):
         assert word in said.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_that_a_stranger_could_break_is_imported_before_the_check():
+    code = (
+        "import sys, bench.cli; "
+        "print([m for m in sys.modules if m.split('.')[0] in ('qpmpc', 'plant', 'scenarios')])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
