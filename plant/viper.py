@@ -69,7 +69,7 @@ class Quantity:
 
 _ESTIMATE = "estimate: "
 _LENGTHS = "ViSP vpViper650; ROS-Industrial adept_viper_s650_support agrees"
-_DATA_SHEET = "Adept Viper s650 data sheet"
+_DATA_SHEET = "as given for the Adept Viper s650; not checked against its data sheet"
 _FRICTION = (
     "identified on the sister robot from Denso; data with S. Lloyd, R. Irani, M. Ahmadi, "
     "Mech. Mach. Theory 156:104149, 2021 (PSDM)"
