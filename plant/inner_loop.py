@@ -55,13 +55,8 @@ class InnerLoop:
             ]
         )
         # From command, pose error and twist to the acceleration that is wanted of the tip.
-        self._gains = np.hstack(
-            [
-                np.eye(6)[:, :3] * np.append(free, [1, 1, 1])[:, None],
-                np.diag(stiffness),
-                -np.diag(damping),
-            ]
-        )
+        follow = np.vstack([np.diag(free), np.zeros((3, 3))])
+        self._gains = np.hstack([follow, np.diag(stiffness), -np.diag(damping)])
         self._inputs = np.zeros(15)
         self._command, self._error = self._inputs[:3], self._inputs[3:9]
         self.twist = self._inputs[9:]

@@ -97,7 +97,7 @@ class Solver:
         begin = perf_counter()
         scaling = self._scaling
         if not _solvable(q, l, u):
-            return self._failure(Status.FAILED, 0, begin)
+            return self._failure(Status.FAILED, 0, perf_counter() - begin, 0.0)
         scaling.update(q, l, u)
         ready = perf_counter()
         status, residuals, iterations, spent = self._attempt()
@@ -106,7 +106,7 @@ class Solver:
             status, residuals, again, more = self._attempt()
             iterations, spent = iterations + again, spent + more
         if status in _WITHOUT_ANSWER:
-            return self._failure(status, iterations, begin)
+            return self._failure(status, iterations, ready - begin, spent)
         np.dot(scaling.T, self._answer, out=self._x)
         self._s /= scaling.E
         return Solution(status, self._x, self._s, residuals, iterations, ready - begin, spent)
@@ -171,10 +171,10 @@ class Solver:
             return Status.SOLVED
         return Status.INACCURATE if status is Status.SOLVED else status
 
-    def _failure(self, status: Status, iterations: int, begin: float) -> Solution:
+    def _failure(self, status: Status, iterations: int, update: float, spent: float) -> Solution:
         self._x.fill(np.nan)
         self._s.fill(np.nan)
-        return Solution(status, self._x, self._s, _UNKNOWN, iterations, perf_counter() - begin, 0.0)
+        return Solution(status, self._x, self._s, _UNKNOWN, iterations, update, spent)
 
 
 def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741

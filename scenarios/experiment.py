@@ -63,7 +63,7 @@ def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experim
     controller.reset(setpoint.force[0])
     log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
     ready = perf_counter()
-    controlled, stopped = ready, None
+    controlled, stopped = None, None
     try:
         complete = control_loop(
             cell,
@@ -85,7 +85,10 @@ def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experim
         )
         stopped = None if complete else "interrupted"
     except UnstableSimulationError as error:
-        controlled, stopped = max(controlled, perf_counter()), str(error)
+        stopped = str(error)
+    ended = perf_counter()
+    if controlled is None:
+        controlled = ended
     return Experiment(
         scenario,
         log,
@@ -93,6 +96,6 @@ def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experim
         {
             "setup": ready - started,
             "compensated": controlled - ready,
-            "uncompensated": perf_counter() - controlled,
+            "uncompensated": ended - controlled,
         },
     )

@@ -49,7 +49,7 @@ def summarise(experiment: Experiment) -> Summary:
             "compensated": controlled,
             "reduction": {key: _reduction(held[key], controlled[key]) for key in ("rms", "max")},
         }
-    period = scenario.cell.period
+    period, wall = scenario.cell.period, experiment.wall_time
     return {
         "scenario": scenario.name,
         "backend": scenario.backend,
@@ -63,10 +63,13 @@ def summarise(experiment: Experiment) -> Summary:
             "solve_us": _percentiles(log.solve_time[:end]),
             "cycle_us": _percentiles(log.cycle_time[:end]),
             "misses": int((log.cycle_time[:end] > period).sum()),
-            "wall_s": experiment.wall_time,
+            "wall_s": wall,
             "real_time_factor": {
-                run: end * period / experiment.wall_time[run] if end else None
-                for run in ("compensated", "uncompensated")
+                "compensated": end * period / wall["compensated"] if end else None,
+                # a run that was not made, or not to its end, has no speed
+                "uncompensated": (
+                    end * period / wall["uncompensated"] if experiment.stopped is None else None
+                ),
             },
         },
         "saturation": {

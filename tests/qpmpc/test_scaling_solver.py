@@ -384,3 +384,14 @@ def test_an_answer_that_fails_the_check_gets_a_second_attempt_from_cold(liar: An
     assert solution.status is Status.SOLVED
     assert solution.iterations == 2
     np.testing.assert_allclose(solution.x, right[0])
+
+
+def test_time_of_a_solve_that_fails_counts(liar: Any) -> None:
+    def slow(q: Any, l: Any, u: Any) -> Any:
+        sleep(0.002)
+        return np.zeros(2), np.zeros(2)
+
+    qp = QuadraticProgram(EYE, [0.0, 0.0], EYE, -1.0, 1.0)
+    solution = Solver(qp, liar(slow, Status.INFEASIBLE)).solve(qp.q, qp.l, qp.u)
+    assert solution.status is Status.INFEASIBLE
+    assert solution.solve_time >= 0.002

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -123,6 +125,34 @@ def test_a_simulation_that_fails_is_told_and_leaves_its_log(monkeypatch):
     assert "unstable at t = 0.2" in experiment.stopped
     assert 195 <= experiment.log.cycles < 300
     assert summarise(experiment)["complete"] is False
+
+
+def test_a_failure_of_the_second_run_is_not_charged_to_the_first(monkeypatch):
+    """Held still, the force swings further than under control: only that run meets the limit."""
+    monkeypatch.setattr("plant.cell._ABSURD", 12.0)
+    scenario = load_scenario("ideal", top={"duration": 0.8})
+    experiment = run_experiment(scenario, report=lambda *_: None, stop=lambda: False)
+    assert experiment.log.cycles == 800
+    assert "unstable" in experiment.stopped
+    assert experiment.wall_time["uncompensated"] > 0.01
+
+
+def test_memory_does_not_grow_with_the_cycles():
+    """All that a run needs is there before its first cycle, the log included."""
+    traced = {}
+
+    def report(stage, done, total):
+        if stage == "compensated" and done in (250, 750):
+            gc.collect()
+            traced[done] = tracemalloc.get_traced_memory()[0]
+
+    scenario = load_scenario("paper", top={"duration": 0.76})
+    tracemalloc.start()
+    try:
+        run_experiment(scenario, report=report, stop=lambda: False)
+    finally:
+        tracemalloc.stop()
+    assert abs(traced[750] - traced[250]) < 20_000  # 40 bytes a cycle; one float array has 100
 
 
 def test_stages_are_reported_in_order():

@@ -132,6 +132,7 @@ def test_an_interrupted_run_has_none_and_no_nan(rows):
         assert set(figures["reduction"].values()) == {None}
         assert (figures["compensated"]["rms"] is None) == (rows == 0)
     assert (read["timing"]["solve_us"]["p50"] is None) == (rows == 0)
+    assert read["timing"]["real_time_factor"]["uncompensated"] is None
     assert (read["saturation"]["torque"] is None) == (rows == 0)
 
 
