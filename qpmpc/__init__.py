@@ -14,7 +14,16 @@ from qpmpc.augment import (
     with_delay,
     with_disturbance,
 )
-from qpmpc.backends import Backend, BackendInfo, RawSolution, available, register
+from qpmpc.backends import (
+    Backend,
+    BackendInfo,
+    Family,
+    Limits,
+    RawSolution,
+    available,
+    register,
+    register_family,
+)
 from qpmpc.bounds import CommandBound, OutputBound, RateBound
 from qpmpc.config import (
     BoundsConfig,
@@ -23,6 +32,7 @@ from qpmpc.config import (
     ObserverConfig,
     PerAxis,
 )
+from qpmpc.construction import NUMPY, Construction
 from qpmpc.contact import ContactModel, contact_model
 from qpmpc.controller import Controller, Step, Times
 from qpmpc.errors import (
@@ -46,6 +56,7 @@ from qpmpc.solver import Residuals, Solution, Solver
 from qpmpc.status import Status
 
 __all__ = [
+    "NUMPY",
     "AxisModel",
     "Backend",
     "BackendInfo",
@@ -54,13 +65,16 @@ __all__ = [
     "BoundsConfig",
     "BoundsError",
     "CommandBound",
+    "Construction",
     "ContactModel",
     "Controller",
     "ControllerConfig",
     "Exosystem",
     "ExponentialReference",
+    "Family",
     "ForceController",
     "KalmanObserver",
+    "Limits",
     "LinearModel",
     "ModelConfig",
     "ModelError",
@@ -94,6 +108,7 @@ __all__ = [
     "prediction",
     "ramp",
     "register",
+    "register_family",
     "stack",
     "with_delay",
     "with_disturbance",

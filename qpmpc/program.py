@@ -104,19 +104,20 @@ class SlackForm:
         self._hard, self._soft = hard, soft
         self.P = np.block([[qp.P, zero], [zero.T, 2.0 * np.diag(qp.quadratic[soft])]])
         eye = np.eye(k)
-        self.A = np.block(
-            [
-                [qp.A[hard], np.zeros((hard.size, k))],
-                [qp.A[soft], eye],
-                [qp.A[soft], -eye],
-                [zero.T, eye],
-            ]
-        )
-        rows = self.A.shape[0]
+        rows = hard.size + 3 * k
+        self.A = np.zeros((rows, qp.n + k))
+        self.A[hard.size :, qp.n :] = np.vstack([eye, -eye, eye])
+        self.replace_rows(qp.A)
         self.q = np.concatenate([qp.q, qp.linear[soft]])
         self.l, self.u = np.full(rows, -np.inf), np.full(rows, np.inf)
         self.l[rows - k :] = 0.0
         self.update(qp.q, qp.l, qp.u)
+
+    def replace_rows(self, A: Array) -> None:
+        """Write other rows ``(m, n)`` of the soft QP into ``self.A``, in place."""
+        h, k, n = self._n_hard, self._n_soft, self.n
+        self.A[:h, :n] = A[self._hard]
+        self.A[h : h + k, :n] = self.A[h + k : h + 2 * k, :n] = A[self._soft]
 
     def update(self, q: Array, l: Array, u: Array) -> None:  # noqa: E741
         """Write the vectors of the soft QP into ``self.q``, ``self.l``, ``self.u``, in place."""

@@ -9,11 +9,12 @@ from time import perf_counter
 import numpy as np
 
 from qpmpc.arrays import Array, all_finite
-from qpmpc.backends import Backend, backend_class
+from qpmpc.backends import Backend, Limits, backend_class
 from qpmpc.program import QuadraticProgram
 from qpmpc.scaling import Scaling
 from qpmpc.status import Status
 
+NO_LIMITS = Limits()
 TOLERANCE = 1e-6
 """Largest residual with which an answer counts as solved, relative to the problem's size."""
 _JUDGED = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
@@ -63,6 +64,7 @@ class Solver:
         qp: QuadraticProgram,
         backend: str | type[Backend] = "daqp",
         groups: Iterable[slice] | None = None,
+        limits: Limits = NO_LIMITS,
     ) -> None:
         """Scale ``qp`` and set the backend up on its constant part.
 
@@ -79,7 +81,7 @@ class Solver:
         self._heeds_rows = kind.heeds_rows
         self._scaling = Scaling(qp, groups)
         scaled = self._scaling.qp
-        self._backend = kind(scaled)
+        self._backend = kind(scaled, limits)
         self._P, self._A = np.array(scaled.P), np.array(scaled.A)
         self._At = np.ascontiguousarray(self._A.T)
         self._hard = np.isinf(scaled.linear)

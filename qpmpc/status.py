@@ -18,6 +18,8 @@ class Status(StrEnum):
     """Stopped at the limit of iterations or time, without an answer that passes the check."""
     INFEASIBLE = "infeasible"
     """No decision satisfies the hard rows."""
+    UNBOUNDED = "unbounded"
+    """The cost has no lower end within the rows: P is only semidefinite, and nothing stops q."""
     FAILED = "failed"
     """No usable answer: NaN among the parameters or in the answer, or a numerical breakdown."""
 

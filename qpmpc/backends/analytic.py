@@ -9,14 +9,14 @@ from scipy.linalg import cho_factor, cho_solve
 
 from qpmpc.arrays import Array
 from qpmpc.backends._registry import register
-from qpmpc.backends.base import RawSolution
+from qpmpc.backends.base import Backend, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
 from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
 
 
 @register
-class AnalyticBackend:
+class AnalyticBackend(Backend):
     """``x = -P^-1 q`` with a gain computed once; rows are not looked at.
 
     Where the result leaves the bounds on the command the controller clips it and says so; bounds
@@ -27,8 +27,10 @@ class AnalyticBackend:
     package: ClassVar[str] = "numpy"
     summary: ClassVar[str] = "closed form of the paper; clips the command, ignores other bounds"
     heeds_rows: ClassVar[bool] = False
+    replaces_rows: ClassVar[bool] = True
+    limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))  # takes no iteration
 
-    def __init__(self, qp: QuadraticProgram) -> None:
+    def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:  # noqa: ARG002
         """Invert the Hessian.
 
         Raises:
@@ -40,8 +42,8 @@ class AnalyticBackend:
             raise BackendSetupError(self.name, f"P is not positive definite ({error})") from error
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
 
-    def forget(self) -> None:
-        """Nothing is remembered."""
+    def replace_rows(self, A: Array) -> None:
+        """Rows are not looked at."""
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: ARG002, E741
         """Multiply the gain with ``q``."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from qpmpc.arrays import Array
 from qpmpc.backends._registry import register
-from qpmpc.backends.base import RawSolution
+from qpmpc.backends.base import Backend, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
 from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
@@ -19,25 +19,31 @@ _FLAT = 1e-10
 """Least quadratic penalty, where DAQP wants one: far below any effect of the linear one."""
 _FAR = 1e30
 """What DAQP takes for infinite: a warm row whose bound is truly infinite would turn to NaN."""
+_ITERATIONS = 1000
+"""Its own limit, where none is given."""
 _STATUS = {
     2: Status.SOLVED,  # with soft rows giving way
     1: Status.SOLVED,
     -1: Status.INFEASIBLE,
     -2: Status.FAILED,  # cycling
+    -3: Status.UNBOUNDED,
     -4: Status.ITERATION_LIMIT,
+    -7: Status.ITERATION_LIMIT,  # of time
 }
 
 
 @register
-class DaqpBackend:
+class DaqpBackend(Backend):
     """DAQP with soft rows of its own, persistent, warm-started from the last active set."""
 
     name: ClassVar[str] = "daqp"
     package: ClassVar[str] = "daqp"
     summary: ClassVar[str] = "DAQP, dual active set, exact in few microseconds; all bounds"
-    heeds_rows: ClassVar[bool] = True
+    warm_starts: ClassVar[bool] = True
+    replaces_rows: ClassVar[bool] = True
+    limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 
-    def __init__(self, qp: QuadraticProgram) -> None:
+    def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:
         """Set the solver up and solve once.
 
         Raises:
@@ -46,7 +52,11 @@ class DaqpBackend:
         import daqp  # noqa: PLC0415 - only this backend needs it
 
         self._model: Any = daqp.Model()
-        self._model.settings = {"primal_tol": 1e-9, "iter_limit": 1000}
+        self._model.settings = {
+            "primal_tol": 1e-9,
+            "iter_limit": limits.iterations or _ITERATIONS,
+            "time_limit": limits.time or 0.0,
+        }
         soft = np.isfinite(qp.linear)
         rows = max(qp.m, 1)  # DAQP wants one: without rows, one that bounds nothing
         self._l, self._u = np.full(rows, -_FAR), np.full(rows, _FAR)
@@ -63,6 +73,10 @@ class DaqpBackend:
             self._model.soft_weights(rho_l=give, rho_u=give, w_l=linear, w_u=linear)
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
         self.solve(np.zeros(qp.n), self._l[: qp.m].copy(), self._u[: qp.m].copy())
+
+    def replace_rows(self, A: Array) -> None:
+        """Refactor inside DAQP, without new memory; the active set stays."""
+        self._model.update(A=A)
 
     def forget(self) -> None:
         """Empty the active set: from a warm one DAQP now and then ends where it should not."""

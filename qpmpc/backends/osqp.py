@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from qpmpc.arrays import Array
 from qpmpc.backends._registry import register
-from qpmpc.backends.base import RawSolution
+from qpmpc.backends.base import Backend, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
 from qpmpc.program import QuadraticProgram, SlackForm
 from qpmpc.status import Status
@@ -48,15 +48,17 @@ _REGULAR = 1e-12
 
 
 @register
-class OsqpBackend:
+class OsqpBackend(Backend):
     """OSQP on the form with explicit slack, persistent, warm-started, polished."""
 
     name: ClassVar[str] = "osqp"
     package: ClassVar[str] = "osqp"
     summary: ClassVar[str] = "OSQP, operator splitting with polishing; all bounds"
-    heeds_rows: ClassVar[bool] = True
+    warm_starts: ClassVar[bool] = True
+    replaces_rows: ClassVar[bool] = True
+    limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 
-    def __init__(self, qp: QuadraticProgram) -> None:
+    def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:
         """Set the solver up, with the multipliers of the case that no row is active."""
         import osqp  # noqa: PLC0415 - only this backend needs it
 

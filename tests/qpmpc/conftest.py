@@ -11,7 +11,9 @@ import pytest
 import quadprog
 
 from qpmpc import (
+    Backend,
     CommandBound,
+    Limits,
     LinearModel,
     OutputBound,
     Problem,
@@ -159,7 +161,7 @@ def _optimum(qp: QuadraticProgram, q: Array, l: Array, u: Array) -> Optimum:  # 
     return Optimum(x, over, bool((margin < 1e-7).any()), feasible)
 
 
-class _Liar:
+class _Liar(Backend):
     """A backend that calls whatever it is told to answer solved."""
 
     name: ClassVar[str] = "liar"
@@ -169,7 +171,7 @@ class _Liar:
     answer: ClassVar[Callable[[Array, Array, Array], tuple[Array, Array]]]
     status: ClassVar[Status] = Status.SOLVED
 
-    def __init__(self, qp: QuadraticProgram) -> None:
+    def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:
         self.qp = qp
 
     def forget(self) -> None:
