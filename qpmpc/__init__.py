@@ -24,7 +24,7 @@ from qpmpc.backends import (
     register,
     register_family,
 )
-from qpmpc.bounds import CommandBound, OutputBound, RateBound
+from qpmpc.bounds import CommandBound, MappedBound, OutputBound, RateBound
 from qpmpc.config import (
     BoundsConfig,
     ControllerConfig,
@@ -45,6 +45,7 @@ from qpmpc.errors import (
     ShapeError,
     UnknownNameError,
 )
+from qpmpc.fallback import Source
 from qpmpc.force_control import AxisModel, ForceController, axis_model
 from qpmpc.models import LinearModel, from_state_space, stack, zero_order_hold
 from qpmpc.observer import KalmanObserver
@@ -52,7 +53,8 @@ from qpmpc.prediction import Prediction, absolute_prediction, prediction
 from qpmpc.problem import Problem
 from qpmpc.program import QuadraticProgram
 from qpmpc.reference import ExponentialReference
-from qpmpc.solver import Residuals, Solution, Solver
+from qpmpc.residuals import Residuals
+from qpmpc.solver import Solution, Solver, solve
 from qpmpc.status import Status
 
 __all__ = [
@@ -76,6 +78,7 @@ __all__ = [
     "KalmanObserver",
     "Limits",
     "LinearModel",
+    "MappedBound",
     "ModelConfig",
     "ModelError",
     "ObserverConfig",
@@ -92,6 +95,7 @@ __all__ = [
     "ShapeError",
     "Solution",
     "Solver",
+    "Source",
     "Status",
     "Step",
     "Times",
@@ -109,6 +113,7 @@ __all__ = [
     "ramp",
     "register",
     "register_family",
+    "solve",
     "stack",
     "with_delay",
     "with_disturbance",

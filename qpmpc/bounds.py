@@ -1,14 +1,15 @@
-"""Bounds as records: on the command, on its rate, on any output; hard or soft."""
+"""Bounds as records: on the command, on its rate, on any output; hard or soft, fixed or moving."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array
-from qpmpc.errors import BoundsError, ModelError
+from qpmpc.errors import BoundsError
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,8 @@ class CommandBound:
     upper: ArrayLike
     """Scalar, ``(n_inputs,)`` or ``(N_u, n_inputs)``; +inf: none."""
     name: str = "command"
+    moving: bool = False
+    """Whether `Problem.move` will change it: rows that bound nothing now are kept then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,8 @@ class RateBound:
     upper: ArrayLike
     """Scalar, ``(n_inputs,)`` or ``(N_u, n_inputs)``."""
     name: str = "rate"
+    moving: bool = False
+    """Whether `Problem.move` will change it: rows that bound nothing now are kept then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,37 +54,71 @@ class OutputBound:
     """Cost of one unit of violation at one step; infinite: hard."""
     quadratic: float = 0.0
     """Cost of one squared unit of violation at one step."""
+    moving: bool = False
+    """Whether `Problem.move` will change it: rows that bound nothing now are kept then."""
 
 
-Bound = CommandBound | RateBound | OutputBound
+@dataclass(frozen=True, eq=False)
+class MappedBound:
+    """Soft bound on what is a linear map of outputs and command, a map that changes in time.
+
+        lower <= mapping z(k+i) + offset <= upper,                    i = 1..N
+        lower <= mapping [u(k+i); z(k+i)] + offset <= upper,          i = 0..N_u-1, if ``direct``
+
+    with ``z = output x``. `Problem.map` brings a new mapping and offset at any cycle; they hold
+    over the whole horizon. Joint speeds (through the Jacobian) and joint torques (which the command
+    enters directly) are bounded in this way.
+    """
+
+    name: str
+    """How errors, slack and statistics call it."""
+    output: Array
+    """Output matrix, ``(n_z, n)``."""
+    mapping: Array
+    """The map to begin with, typical in size, ``(n_m, n_z)``, or ``(n_m, n_inputs + n_z)``."""
+    lower: ArrayLike
+    """Scalar or ``(n_m,)``; -inf: none."""
+    upper: ArrayLike
+    """Scalar or ``(n_m,)``; +inf: none."""
+    linear: float
+    """Cost of one unit of violation at one step; infinite: hard."""
+    quadratic: float = 0.0
+    """Cost of one squared unit of violation at one step."""
+    direct: bool = False
+    """Whether the command is part of what is mapped."""
+    moving: ClassVar[bool] = True
 
 
-def over_horizon(bound: Bound, steps: int, width: int) -> tuple[Array, Array]:
+Bound = CommandBound | RateBound | OutputBound | MappedBound
+
+
+def over_horizon(
+    name: str, lower: ArrayLike, upper: ArrayLike, steps: int, width: int
+) -> tuple[Array, Array]:
     """Return lower and upper as ``(steps, width)``, checked.
 
     Raises:
         BoundsError: not of an accepted shape, NaN, or lower above upper.
     """
     sides = []
-    for side, value in (("lower", bound.lower), ("upper", bound.upper)):
+    for side, value in (("lower", lower), ("upper", upper)):
         try:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise BoundsError(bound.name, f"{side} is not numeric ({error})") from error
+            raise BoundsError(name, f"{side} is not numeric ({error})") from error
         if array.shape not in ((), (width,), (steps, width)):
             raise BoundsError(
-                bound.name,
+                name,
                 f"{side} must be a scalar, ({width},) or ({steps}, {width}), got {array.shape}",
             )
         if np.isnan(array).any():
-            raise BoundsError(bound.name, f"{side} holds NaN")
+            raise BoundsError(name, f"{side} holds NaN")
         sides.append(np.broadcast_to(array, (steps, width)).copy())
-    lower, upper = sides
-    if (lower > upper).any():
-        i, j = (int(v[0]) for v in np.nonzero(lower > upper))
+    low, high = sides
+    crossed = low > high
+    if crossed.any():
+        i, j = (int(v[0]) for v in np.nonzero(crossed))
         raise BoundsError(
-            bound.name, f"lower {lower[i, j]:g} exceeds upper {upper[i, j]:g} (step {i}, row {j})"
+            name, f"lower {low[i, j]:g} exceeds upper {high[i, j]:g} (step {i}, row {j})"
         )
-    if isinstance(bound, OutputBound) and not (bound.linear > 0 and bound.quadratic >= 0):
-        raise ModelError(f"bound '{bound.name}': linear must be positive, quadratic not negative")
-    return lower, upper
+    return low, high

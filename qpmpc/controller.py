@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, all_finite
-from qpmpc.backends import Backend
+from qpmpc.backends import Backend, Limits
 from qpmpc.errors import ShapeError
+from qpmpc.fallback import Fallback, Source
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
-from qpmpc.solver import Residuals, Solver
+from qpmpc.residuals import Residuals
+from qpmpc.solver import NO_LIMITS, Solver
 from qpmpc.status import Status
 
 Reference = Callable[[Array, Array], Array]
@@ -30,8 +32,10 @@ class Times:
 
     update: float
     """Observer, reference, vectors of the QP and their scaling."""
+    build: float
+    """What a backend that cannot be updated takes to build its problem anew; 0 for the others."""
     solve: float
-    """The backend alone."""
+    """The backend without that."""
     step: float
     """The whole step, from measurement to command."""
 
@@ -41,6 +45,9 @@ class Step:
     """What one cycle decided and how. Arrays are the step's own."""
 
     status: Status
+    """How the solve ended."""
+    source: Source
+    """Where the command came from: the solve, or what stood in for it."""
     command: Array
     """u(k), to be applied now, ``(n_inputs,)``."""
     decision: Array
@@ -81,6 +88,7 @@ class Controller:
         observer: KalmanObserver,
         reference: Reference,
         backend: str | type[Backend] = "daqp",
+        limits: Limits = NO_LIMITS,
     ) -> None:
         """Join the parts; the backend is set up and primed here.
 
@@ -89,12 +97,16 @@ class Controller:
             observer: the state estimate, reset to the state to begin with.
             reference: for instance an `ExponentialReference`.
             backend: a registered name or a backend class.
+            limits: when the backend has to stop, in each cycle.
 
         Raises:
             UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`.
         """
         self.problem, self.observer, self.reference = problem, observer, reference
-        self.solver = Solver(problem.qp, backend, problem.rows.values())
+        self.solver = Solver(
+            problem.qp, backend, problem.rows.values(), limits=limits, pattern=problem.pattern
+        )
+        self._fallback = Fallback(problem)
         n_u, n_y = problem.model.n_inputs, problem.model.n_outputs
         self._n_u, self._shape = n_u, (problem.horizon, n_y)
         self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
@@ -109,6 +121,7 @@ class Controller:
         """Start anew from a state estimate ``(n,)`` and the command applied so far."""
         self.observer.reset(state)
         self.command[:] = command
+        self._fallback.forget()
         self._prepared = True
 
     def prepare(self) -> None:
@@ -120,9 +133,13 @@ class Controller:
     def step(self, measurement: Array, preview: Array) -> Step:
         """Decide the command of this cycle.
 
-        Where no usable answer comes (NaN measured, infeasible, limit reached) the command is held
-        and the status tells why. What is not finite is not blended into the estimate: the observer
-        goes on by prediction alone until a measurement comes.
+        Where no usable answer comes (NaN measured, infeasible, limit reached) the status tells why
+        and `Fallback` decides: the last plan goes on, then the clipped closed form, then the
+        command is held. What is not finite is not blended into the estimate: the observer goes on
+        by prediction alone until a measurement comes.
+
+        Bounds that move and maps that change are set on `problem` before (`Problem.move`,
+        `Problem.map`).
 
         Args:
             measurement: what the observer measures, ``(n_measured,)``.
@@ -140,23 +157,18 @@ class Controller:
         state = self.observer.correct(measurement) if measured else self.observer.state
         np.dot(self._C, state, out=self._output)
         problem.update(state, previous, self.reference(preview, self._output))
+        if problem.rows_changed:
+            self.solver.replace_rows(problem.A)
+            problem.rows_changed = False
         updated = perf_counter()
         solution = self.solver.solve(problem.q, problem.l, problem.u)
         status = solution.status if measured else Status.FAILED
-        if status.usable:
-            decision = solution.x.copy()
-            command = problem.command(decision, previous)
-            low, high = problem.limits(previous)
-            clipped = np.minimum(np.maximum(command, low), high)
-            if np.count_nonzero(clipped != command):
-                tolerance = _CLIP_TOLERANCE * np.minimum(high - low, 1e12)
-                if status is Status.SOLVED and (np.abs(clipped - command) > tolerance).any():
-                    status = Status.CLIPPED
-                command = clipped
+        if measured and solution.usable:
+            source, decision = Source.SOLUTION, solution.x.copy()
+            self._fallback.remember(decision, previous)
+            status, command = self._clip(status, problem.command(decision, previous))
         else:
-            low, high = problem.limits(previous)
-            command = np.minimum(np.maximum(previous, low), high)
-            decision = problem.hold(previous, command)
+            source, command, decision = self._fallback.decide(previous, measured=measured)
         predicted = self._Theta @ decision
         predicted += problem.free
         self.command[:] = command
@@ -164,6 +176,7 @@ class Controller:
         now = perf_counter()
         return Step(
             status,
+            source,
             command,
             decision.reshape(-1, self._n_u),
             predicted.reshape(self._shape),
@@ -171,8 +184,24 @@ class Controller:
             problem.rows,
             solution.residuals,
             solution.iterations,
-            Times(updated - begin + solution.update_time, solution.solve_time, now - begin),
+            Times(
+                updated - begin + solution.update_time,
+                solution.build_time,
+                solution.solve_time,
+                now - begin,
+            ),
         )
+
+    def _clip(self, status: Status, command: Array) -> tuple[Status, Array]:
+        """Clip a command to its bounds; say so where that is more than a solver's tolerance."""
+        low, high = self.problem.limits(self.command)
+        clipped = np.minimum(np.maximum(command, low), high)
+        if np.count_nonzero(clipped != command):
+            tolerance = _CLIP_TOLERANCE * np.minimum(high - low, 1e12)
+            if status is Status.SOLVED and (np.abs(clipped - command) > tolerance).any():
+                status = Status.CLIPPED
+            command = clipped
+        return status, command
 
     def _complain(self, measurement: Array, preview: Array) -> None:
         if measurement.shape != self._measured:

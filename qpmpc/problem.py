@@ -3,34 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from qpmpc.arrays import Array, vector
-from qpmpc.bounds import Bound, CommandBound, OutputBound, RateBound, over_horizon
+from qpmpc.bounds import Bound, CommandBound, RateBound
+from qpmpc.construction import NUMPY, Construction, Decision
 from qpmpc.errors import BoundsError, ModelError, UnknownNameError
 from qpmpc.models import LinearModel
-from qpmpc.prediction import Prediction, absolute_prediction, prediction
+from qpmpc.prediction import Prediction
 from qpmpc.program import QuadraticProgram
-
-Decision = Literal["increment", "absolute"]
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Rows of one bound: ``lower <= decision z + state x + previous u(k-1) <= upper``."""
-
-    name: str
-    decision: Array
-    state: Array
-    previous: Array
-    lower: Array
-    upper: Array
-    linear: float = np.inf
-    quadratic: float = 0.0
+from qpmpc.rows import Rows, Setting
 
 
 class Problem:
@@ -53,6 +38,7 @@ class Problem:
         bounds: Sequence[Bound] = (),
         control_horizon: int | None = None,
         decision: Decision = "increment",
+        construction: Construction = NUMPY,
     ) -> None:
         """Condense.
 
@@ -63,10 +49,11 @@ class Problem:
                 ``(n_outputs,)``, not negative.
             increment_weight: lambda, cost of a squared unit of decision, scalar or
                 ``(n_inputs,)``, positive.
-            bounds: any number; rows that are infinite on both sides, or that no decision of the
-                horizon can change (under a delay), are left out.
+            bounds: any number; rows that no decision of the horizon can change (under a delay)
+                are left out, and those that are infinite on both sides and will not move.
             control_horizon: N_u in 1..N; N if not given.
             decision: ``"increment"`` or ``"absolute"``.
+            construction: who builds the matrices.
 
         Raises:
             ModelError, ShapeError, BoundsError, UnknownNameError: an argument is out of range or
@@ -75,48 +62,55 @@ class Problem:
         if decision not in get_args(Decision):
             raise UnknownNameError("decision", decision, get_args(Decision))
         self.model, self.horizon, self.decision = model, horizon, decision
-        self._predict = prediction if decision == "increment" else absolute_prediction
-        self.prediction: Prediction = self._predict(model, horizon, control_horizon)
-        n_y, n_u = model.n_outputs, model.n_inputs
-        self.moves = self.prediction.Theta.shape[1] // n_u
-        delta = vector("output_weight", output_weight, n_y)
-        lam = vector("increment_weight", increment_weight, n_u)
+        moves = horizon if control_horizon is None else control_horizon
+        self.prediction: Prediction = construction.prediction(model, horizon, moves, None, decision)
+        self.moves = moves
+        delta = vector("output_weight", output_weight, model.n_outputs)
+        lam = vector("increment_weight", increment_weight, model.n_inputs)
         if (delta < 0).any() or (lam <= 0).any():
             raise ModelError("output_weight must not be negative, increment_weight positive")
-        Theta = self.prediction.Theta
-        weighted = np.tile(delta, horizon)[:, None] * Theta
-        P = 2.0 * (Theta.T @ weighted + np.diag(np.tile(lam, self.moves)))
-        rows = [_effective(self._rows(bound)) for bound in bounds]
+        P, self._error_to_q = construction.cost(
+            self.prediction.Theta, np.tile(delta, horizon), np.tile(lam, moves)
+        )
+        setting = Setting(
+            model, horizon, moves, decision,
+            lambda output: construction.prediction(model, horizon, moves, output, decision),
+        )  # fmt: skip
         names = [bound.name for bound in bounds]
         if len(set(names)) != len(names):
             raise BoundsError(", ".join(names), "two bounds have the same name")
-        rows = [r for r in rows if r.lower.size]
+        self._bounds = {bound.name: Rows(bound, setting) for bound in bounds}
+        self._kinds = {bound.name: type(bound) for bound in bounds}
         self.rows: dict[str, slice] = {}
+        """Where the rows of each bound are that has any."""
         start = 0
-        for r in rows:
-            self.rows[r.name] = slice(start, start + r.lower.size)
-            start += r.lower.size
-        n_z = Theta.shape[1]
-        self.qp = QuadraticProgram(
-            (P + P.T) / 2,
-            np.zeros(n_z),
-            np.vstack([np.zeros((0, n_z)), *(r.decision for r in rows)]),
-            np.concatenate([np.zeros(0), *(r.lower for r in rows)]),
-            np.concatenate([np.zeros(0), *(r.upper for r in rows)]),
-            np.concatenate([np.zeros(0), *(np.full(r.lower.size, r.linear) for r in rows)]),
-            np.concatenate([np.zeros(0), *(np.full(r.lower.size, r.quadratic) for r in rows)]),
-        )
-        self._first_command = self._intersection(bounds)
-        self._rate_bounded = bool(np.isfinite(self._first_command[1]).any())
-        self._allocate(weighted, rows)
+        for name, rows in self._bounds.items():
+            if rows.size:
+                self.rows[name] = slice(start, start + rows.size)
+                start += rows.size
+        self._build(P)
 
-    def _allocate(self, weighted: Array, rows: list[_Rows]) -> None:
-        n, n_u = self.model.n_states, self.model.n_inputs
-        none = np.zeros((0, n + n_u))
+    def _build(self, P: Array) -> None:
+        n, n_u, n_z = self.model.n_states, self.model.n_inputs, P.shape[0]
+        rows = [self._bounds[name] for name in self.rows]
+        self.A = np.vstack([np.zeros((0, n_z)), *(r.decision for r in rows)])
+        """Rows of the present cycle, ``(m, n_z)``."""
+        self._l0 = np.concatenate([np.zeros(0), *(r.lower for r in rows)])
+        self._u0 = np.concatenate([np.zeros(0), *(r.upper for r in rows)])
+        self.qp = QuadraticProgram(
+            P, np.zeros(n_z), self.A, self._l0, self._u0,
+            np.concatenate([np.zeros(0), *(np.full(r.size, r.linear) for r in rows)]),
+            np.concatenate([np.zeros(0), *(np.full(r.size, r.quadratic) for r in rows)]),
+        )  # fmt: skip
+        self.pattern: NDArray[np.bool_] = np.vstack(
+            [np.zeros((0, n_z), dtype=np.bool_), *(r.pattern for r in rows)]
+        )
+        """Where `A` may ever be other than zero, ``(m, n_z)``."""
+        self.rows_changed = False
+        """Whether `A` is another than at the last solve; who hands it on sets it back."""
+        self._mapped = [(r, self.rows[r.name]) for r in rows if r.mapped]
+        self._row_map = np.vstack([np.zeros((0, n + n_u)), *(r.parameters for r in rows)])
         self._free_map = np.hstack([self.prediction.Psi, self.prediction.Upsilon])
-        self._error_to_q = -2.0 * np.ascontiguousarray(weighted.T)
-        self._row_map = np.vstack([none, *(np.hstack([r.state, r.previous]) for r in rows)])
-        self._l0, self._u0 = np.array(self.qp.l), np.array(self.qp.u)
         self._parameters = np.zeros(n + n_u)
         self.free = np.zeros(self._free_map.shape[0])
         """Free response Psi x + Upsilon u(k-1) of the last `update`, ``(N * n_outputs,)``."""
@@ -125,6 +119,48 @@ class Problem:
         self.q = np.zeros(self.qp.n)
         """Gradient of the last `update`, ``(n_z,)``."""
         self.l, self.u = np.zeros(self.qp.m), np.zeros(self.qp.m)
+        # What u(k) and Delta u(k) may be, for `limits`.
+        self._first = {
+            kind: (np.full(n_u, -np.inf), np.full(n_u, np.inf))
+            for kind in (CommandBound, RateBound)
+        }
+        self._note_first()
+
+    def move(self, name: str, lower: ArrayLike, upper: ArrayLike) -> None:
+        """Change the bound called ``name`` from the next `update` on: a cap that moves in time.
+
+        Args:
+            name: of one of the bounds.
+            lower, upper: as in its record: scalar, one value a row, or one a step and row.
+
+        Raises:
+            UnknownNameError: there is none. BoundsError: the values do not fit, or rows are missing
+                as they bounded nothing (see ``moving``).
+        """
+        rows = self._find(name)
+        rows.move(lower, upper)
+        if rows.size:
+            self._l0[self.rows[name]], self._u0[self.rows[name]] = rows.lower, rows.upper
+        if self._kinds[name] in self._first:
+            self._note_first()
+
+    def map(self, name: str, mapping: ArrayLike, offset: ArrayLike) -> None:
+        """Change the map and offset of a `MappedBound` from the next `update` on.
+
+        Raises:
+            UnknownNameError, BoundsError: there is no such bound, or it has no map.
+            ShapeError, ModelError: wrong shape, NaN.
+        """
+        rows = self._find(name)
+        rows.map(mapping, offset)
+        if rows.size:
+            self.A[self.rows[name]] = rows.decision
+            self.rows_changed = True
+
+    def _find(self, name: str) -> Rows:
+        if name not in self._bounds:
+            raise UnknownNameError("bound", name, self._bounds)
+        return self._bounds[name]
 
     def update(self, state: Array, previous: Array, reference: Array) -> None:
         """Write ``q``, ``l`` and ``u`` for the present cycle, in place.
@@ -140,6 +176,8 @@ class Problem:
         np.subtract(reference.reshape(-1), self.free, out=self._error)
         np.dot(self._error_to_q, self._error, out=self.q)
         np.dot(self._row_map, p, out=self._offset)
+        for rows, where in self._mapped:
+            rows.mapped_offset(p, self._offset[where])
         np.subtract(self._l0, self._offset, out=self.l)
         np.subtract(self._u0, self._offset, out=self.u)
 
@@ -148,81 +186,47 @@ class Problem:
         first = decision[: self.model.n_inputs]
         return previous + first if self.decision == "increment" else first.copy()
 
-    def hold(self, previous: Array, command: Array) -> Array:
-        """Return the decision ``(n_z,)`` that goes to ``command`` at once and stays there."""
-        decision = np.zeros((self.moves, self.model.n_inputs))
-        if self.decision == "absolute":
-            decision[:] = command
-        else:
-            decision[0] = command - previous
+    def decide(self, commands: Array, previous: Array) -> Array:
+        """Return the decision ``(n_z,)`` that gives ``commands``, the last of them held on.
+
+        Args:
+            commands: u(k), u(k+1), ..., ``(1 .. N_u, n_inputs)``.
+            previous: u(k-1), ``(n_inputs,)``.
+        """
+        decision = np.empty((self.moves, self.model.n_inputs))
+        decision[: len(commands)] = commands
+        decision[len(commands) :] = commands[-1]
+        if self.decision == "increment":
+            decision[1:] = np.diff(decision, axis=0)
+            decision[0] -= previous
         return decision.reshape(-1)
 
     def limits(self, previous: Array) -> tuple[Array, Array]:
         """Return what u(k) may be, ``(n_inputs,)`` each, by command and rate bounds together."""
-        (low, high), (fall, rise) = self._first_command
+        low, high = self._first[CommandBound]
         if not self._rate_bounded:
             return low, high
+        fall, rise = self._first[RateBound]
         # The command bound wins where u(k-1) lies so far outside that both cannot hold.
         return (
             np.minimum(np.maximum(low, previous + fall), high),
             np.maximum(np.minimum(high, previous + rise), low),
         )
 
-    def _intersection(self, bounds: Sequence[Bound]) -> tuple[tuple[Array, Array], ...]:
-        """Intersect the bounds on u(k) and on Delta u(k), for `limits`."""
-        n_u = self.model.n_inputs
-        result = []
-        for kind in (CommandBound, RateBound):
-            lower, upper = np.full(n_u, -np.inf), np.full(n_u, np.inf)
-            for bound in bounds:
-                if isinstance(bound, kind):
-                    low, high = over_horizon(bound, self.moves, n_u)
-                    lower, upper = np.maximum(lower, low[0]), np.minimum(upper, high[0])
-            result.append((lower, upper))
-        return tuple(result)
-
-    def _rows(self, bound: Bound) -> _Rows:
-        n, n_u = self.model.n_states, self.model.n_inputs
-        if isinstance(bound, OutputBound):
-            p = self._predict(self.model, self.horizon, self.moves, bound.output)
-            lower, upper = over_horizon(bound, self.horizon, p.Psi.shape[0] // self.horizon)
-            return _Rows(
-                bound.name, p.Theta, p.Psi, p.Upsilon,
-                lower.ravel(), upper.ravel(), bound.linear, bound.quadratic,
-            )  # fmt: skip
-        lower, upper = over_horizon(bound, self.moves, n_u)
-        size = self.moves * n_u
-        alone: tuple[Array, Array] = np.eye(size), np.zeros((size, n_u))
-        increments = self.decision == "increment"
-        if isinstance(bound, CommandBound):  # commands: sums of increments, or the decision itself
-            steps = np.tril(np.ones((self.moves, self.moves)))
-            sums = np.asarray(np.kron(steps, np.eye(n_u)), dtype=np.float64)
-            held = np.tile(np.eye(n_u), (self.moves, 1))
-            decision, previous = (sums, held) if increments else alone
-        else:  # increments: the decision itself, or differences of commands
-            first = np.vstack([-np.eye(n_u), np.zeros((size - n_u, n_u))])
-            differences = np.eye(size) - np.eye(size, k=-n_u)
-            decision, previous = alone if increments else (differences, first)
-        return _Rows(
-            bound.name, decision, np.zeros((size, n)), previous, lower.ravel(), upper.ravel()
-        )
+    def _note_first(self) -> None:
+        """Intersect the bounds on u(k), and those on Delta u(k)."""
+        for kind, (lower, upper) in self._first.items():
+            lower.fill(-np.inf)
+            upper.fill(np.inf)
+            for name, rows in self._bounds.items():
+                if self._kinds[name] is kind:
+                    low, high = rows.first
+                    np.maximum(lower, low, out=lower)
+                    np.minimum(upper, high, out=upper)
+        fall, rise = self._first[RateBound]
+        self._rate_bounded = bool((np.isfinite(fall) | np.isfinite(rise)).any())
 
     def __repr__(self) -> str:
         return (
             f"Problem({self.model!r}, horizon={self.horizon}, rows={list(self.rows)}, {self.qp!r})"
         )
-
-
-def _effective(rows: _Rows) -> _Rows:
-    """Keep the rows that bound something and that the decision can still change.
-
-    Under a delay the first outputs of the horizon are already decided: a row of zeros is a fact,
-    not a choice, and would leave a solver nothing to scale.
-    """
-    size = np.abs(rows.decision).max(axis=1)
-    bounded = np.isfinite(rows.lower) | np.isfinite(rows.upper)
-    keep = bounded & (size > 1e-12 * size.max())
-    return _Rows(
-        rows.name, rows.decision[keep], rows.state[keep], rows.previous[keep],
-        rows.lower[keep], rows.upper[keep], rows.linear, rows.quadratic,
-    )  # fmt: skip

@@ -1,9 +1,10 @@
 """Scale variables and rows to order one before any solver sees them.
 
 Theta's entries run over decades (K_s T^2 against K_s N T), and first-order solvers with the usual
-tolerances return nonsense on the raw problem. Variables are whitened by the Cholesky factor of the
-Hessian, ``x = T z`` with ``T' P T`` a multiple of the identity; rows of one physical quantity are
-divided by their common size in the new variables.
+tolerances return nonsense on the raw problem. Where the Hessian allows it, variables are whitened
+by its Cholesky factor, ``x = T z`` with ``T' P T`` a multiple of the identity, and rows of one
+physical quantity are divided by their common size in the new variables. Elsewhere (a semidefinite
+Hessian) variables and rows are equilibrated together (Ruiz 2001).
 """
 
 from __future__ import annotations
@@ -16,12 +17,17 @@ from scipy.linalg import solve_triangular
 from qpmpc.arrays import Array
 from qpmpc.program import QuadraticProgram
 
+_CONDITION = 1e12
+"""Condition of the Hessian up to which it is worth inverting."""
+_ROUNDS = 12
+"""Rounds of equilibration; each takes the square root of what is left."""
+
 
 class Scaling:
     """A QP in scaled variables and rows, and the way there and back.
 
     ``x = T z``, ``A_scaled = E A T``, objective times ``c``; with ``c`` and the size of T chosen
-    such that z has the size of x and the scaled Hessian is the identity.
+    such that z has the size of x and the scaled Hessian is the identity, where it can be.
     """
 
     def __init__(self, qp: QuadraticProgram, groups: Iterable[slice] | None = None) -> None:
@@ -34,11 +40,14 @@ class Scaling:
                 group of its own if not given.
         """
         T = _whitening(qp.P)
+        if T is None:
+            T = np.diag(_equilibrium(qp))
         size = float(np.mean(np.abs(np.diag(T)))) or 1.0
         self.T = np.ascontiguousarray(T / size)
         self._Tt = np.ascontiguousarray(self.T.T)
-        self.c = size**2
-        P = self._Tt @ qp.P @ self.T * self.c
+        P = self._Tt @ qp.P @ self.T
+        self.c = _cost_scale(P)
+        P *= self.c
         A = qp.A @ self.T
         norms = np.linalg.norm(A, axis=1)
         for rows in groups or ():
@@ -62,11 +71,44 @@ class Scaling:
         np.multiply(self.E, l, out=self.l)
         np.multiply(self.E, u, out=self.u)
 
+    def rows(self, A: Array) -> Array:
+        """Return other rows ``(m, n)`` of the QP, scaled as the first ones are."""
+        return np.ascontiguousarray(self.E[:, None] * (A @ self.T))
 
-def _whitening(P: Array) -> Array:
-    """Return T with T' P T = I; diagonal scaling where P is only semidefinite."""
+    def gradient(self, g: Array, out: Array) -> Array:
+        """Scale a gradient ``(n,)`` of the QP's own cost, into ``out``."""
+        np.dot(self._Tt, g, out=out)
+        out *= self.c
+        return out
+
+
+def _whitening(P: Array) -> Array | None:
+    """Return T with T' P T = I, or None where P is not safely definite."""
     try:
         upper = np.linalg.cholesky(P).T
     except np.linalg.LinAlgError:
-        return np.diag(1.0 / np.sqrt(np.where(np.diag(P) > 0, np.diag(P), 1.0)))
+        return None
+    eigenvalues = np.linalg.eigvalsh(P)
+    if not eigenvalues[-1] < _CONDITION * eigenvalues[0]:
+        return None
+    # Entries of the inverse that the structure of P makes zero stay exactly zero.
     return np.asarray(solve_triangular(upper, np.eye(P.shape[0])))
+
+
+def _equilibrium(qp: QuadraticProgram) -> Array:
+    """Return the scales of the variables that make all columns of [P; A] about equally large."""
+    P, A = np.abs(qp.P), np.abs(qp.A)
+    d, e = np.ones(qp.n), np.ones(qp.m)
+    for _ in range(_ROUNDS):
+        scaled, rows = d[:, None] * P * d, e[:, None] * A * d
+        column = np.maximum(scaled.max(axis=0, initial=0.0), rows.max(axis=0, initial=0.0))
+        d /= np.sqrt(np.where(column > 0, column, 1.0))
+        row = rows.max(axis=1, initial=0.0)
+        e /= np.sqrt(np.where(row > 0, row, 1.0))
+    return d
+
+
+def _cost_scale(P: Array) -> float:
+    """Return the factor that makes the Hessian's diagonal one in the mean, where it is not zero."""
+    diagonal = np.diag(P)[np.diag(P) > 0]
+    return 1.0 / float(diagonal.mean()) if diagonal.size else 1.0

@@ -1,42 +1,32 @@
-"""Between a QP and a backend: scaling before, a check of the answer after, and the clock."""
+"""Between a QP and a backend: scaling and splitting before, a check after, and the clock."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from qpmpc.arrays import Array, all_finite
 from qpmpc.backends import Backend, Limits, backend_class
+from qpmpc.errors import BackendSetupError
 from qpmpc.program import QuadraticProgram
+from qpmpc.residuals import UNKNOWN, Check, Residuals
 from qpmpc.scaling import Scaling
+from qpmpc.split import Parts, Pattern
 from qpmpc.status import Status
 
 NO_LIMITS = Limits()
 TOLERANCE = 1e-6
-"""Largest residual with which an answer counts as solved, relative to the problem's size."""
+"""Largest scaled residual with which an answer counts as solved."""
+ACCEPTABLE = 1e-3
+"""Largest scaled residual with which an answer that is not solved is better than none."""
 _JUDGED = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
 """What a backend may say of an answer that is worth a check."""
-_DOUBTFUL = (Status.INACCURATE, Status.FAILED)
+_DOUBTFUL = (Status.INACCURATE, Status.FAILED, Status.INFEASIBLE, Status.UNBOUNDED)
 """What is worth a second attempt from a cold start."""
-_WITHOUT_ANSWER = (Status.INFEASIBLE, Status.FAILED)
-
-
-@dataclass(frozen=True, slots=True)
-class Residuals:
-    """How far an answer is from optimal, in scaled units, computed by the library."""
-
-    primal: float
-    """Largest violation of a hard row."""
-    dual: float
-    """Largest entry of ``P x + q + A' y``."""
-    gap: float
-    """Largest violation of complementarity: a multiplier on a row that is not at its bound."""
-
-
-_UNKNOWN = Residuals(float("nan"), float("nan"), float("nan"))
+_WITHOUT_ANSWER = (Status.INFEASIBLE, Status.UNBOUNDED, Status.FAILED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +35,26 @@ class Solution:
 
     status: Status
     x: Array
-    """Minimiser, ``(n,)``."""
+    """Minimiser, ``(n,)``; NaN where there is none."""
+    y: Array
+    """Multipliers of the rows, ``(m,)``, positive at upper bounds, negative at lower ones."""
     slack: Array
     """Violation of each row, ``(m,)``: what soft rows gave way."""
     residuals: Residuals
     iterations: int
     update_time: float
     """Scaling of the vectors [s]."""
+    build_time: float
+    """What the backend took to build its problem anew, where it has to [s]."""
     solve_time: float
-    """The backend alone [s]."""
+    """The backend without that [s]."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether the answer may be applied: solved, or not far from it."""
+        return self.status is Status.SOLVED or (
+            self.status in _JUDGED and self.residuals.scaled <= ACCEPTABLE
+        )
 
 
 class Solver:
@@ -64,32 +65,44 @@ class Solver:
         qp: QuadraticProgram,
         backend: str | type[Backend] = "daqp",
         groups: Iterable[slice] | None = None,
+        *,
         limits: Limits = NO_LIMITS,
+        pattern: Pattern | None = None,
     ) -> None:
-        """Scale ``qp`` and set the backend up on its constant part.
+        """Scale ``qp``, split it, and set the backend up on its constant part.
 
         Args:
             qp: the program; its vectors are those of the first solve only.
-            backend: a registered name, or a class with the members of `Backend`.
+            backend: a registered name, or a subclass of `Backend`.
             groups: rows that share one scale, see `Scaling`.
+            limits: when the backend has to stop.
+            pattern: where rows may be other than zero after `replace_rows`, ``(m, n)``; where
+                they are now, if not given.
 
         Raises:
             UnknownNameError, BackendUnavailableError, BackendSetupError.
         """
         kind = backend_class(backend) if isinstance(backend, str) else backend
+        _require(kind, limits)
         self.qp, self.backend_name = qp, kind.name
         self._heeds_rows = kind.heeds_rows
+        self._again = kind.warm_starts
+        self._patience = limits.time or np.inf
         self._scaling = Scaling(qp, groups)
-        scaled = self._scaling.qp
-        self._backend = kind(scaled, limits)
-        self._P, self._A = np.array(scaled.P), np.array(scaled.A)
-        self._At = np.ascontiguousarray(self._A.T)
-        self._hard = np.isinf(scaled.linear)
-        self._linear = np.where(self._hard, 0.0, scaled.linear)
-        self._quadratic2 = 2.0 * scaled.quadratic
-        self._answer = np.zeros(qp.n)
-        self._x, self._gradient, self._work = (np.zeros(qp.n) for _ in range(3))
-        self._Ax, self._over, self._under, self._s, self._price = (np.zeros(qp.m) for _ in range(5))
+        self._parts = Parts(kind, self._scaling.qp, limits, pattern)
+        self._check = Check(qp, self._scaling, TOLERANCE)
+        self._x, self._y = np.zeros(qp.n), np.zeros(qp.m)
+        self._to_y = self._scaling.E / self._scaling.c
+
+    @property
+    def parts(self) -> int:
+        """How many problems the QP falls into."""
+        return len(self._parts)
+
+    def replace_rows(self, A: Array) -> None:
+        """Take other rows ``(m, n)`` from the next solve on; penalties and their scale stay."""
+        self._check.replace_rows(A)
+        self._parts.replace_rows(self._scaling.rows(A))
 
     def solve(self, q: Array, l: Array, u: Array) -> Solution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)`` in the QP's own units.
@@ -97,86 +110,83 @@ class Solver:
         Never raises for what the numbers hold: NaN gives ``Status.FAILED``.
         """
         begin = perf_counter()
-        scaling = self._scaling
         if not _solvable(q, l, u):
-            return self._failure(Status.FAILED, 0, perf_counter() - begin, 0.0)
-        scaling.update(q, l, u)
+            return self._failure(Status.FAILED, 0, perf_counter() - begin, 0.0, 0.0)
+        self._scaling.update(q, l, u)
         ready = perf_counter()
-        status, residuals, iterations, spent = self._attempt()
-        if status in _DOUBTFUL:  # once more, without what the solver started from
-            self._backend.forget()
-            status, residuals, again, more = self._attempt()
-            iterations, spent = iterations + again, spent + more
+        status, residuals, iterations, built, spent = self._attempt(q, l, u)
+        if status in _DOUBTFUL and self._again and 2 * spent < self._patience:
+            self._parts.forget()  # once more, without what the solver started from
+            status, residuals, again, more, longer = self._attempt(q, l, u)
+            iterations, built, spent = iterations + again, built + more, spent + longer
         if status in _WITHOUT_ANSWER:
-            return self._failure(status, iterations, ready - begin, spent)
-        np.dot(scaling.T, self._answer, out=self._x)
-        self._s /= scaling.E
-        return Solution(status, self._x, self._s, residuals, iterations, ready - begin, spent)
+            return self._failure(status, iterations, ready - begin, built, spent)
+        return Solution(
+            status, self._x, self._y, self._check.slack, residuals, iterations,
+            ready - begin, built, spent,
+        )  # fmt: skip
 
-    def _attempt(self) -> tuple[Status, Residuals, int, float]:
-        """Let the backend solve, keep its answer in scaled variables, and judge it."""
+    def _attempt(
+        self,
+        q: Array,
+        l: Array,  # noqa: E741
+        u: Array,
+    ) -> tuple[Status, Residuals, int, float, float]:
+        """Let the backend solve, bring its answer into the QP's units, and judge it."""
         scaling = self._scaling
         begin = perf_counter()
-        raw = self._backend.solve(scaling.q, scaling.l, scaling.u)
-        spent = perf_counter() - begin
-        if raw.status is Status.INFEASIBLE:  # there is no answer, whatever stands in its place
-            return raw.status, _UNKNOWN, raw.iterations, spent
+        raw = self._parts.solve(scaling.q, scaling.l, scaling.u)
+        spent = perf_counter() - begin - raw.build_time
+        if raw.status in _WITHOUT_ANSWER:  # whatever stands in the answer's place
+            return raw.status, UNKNOWN, raw.iterations, raw.build_time, spent
         if not all_finite(raw.x):
-            return Status.FAILED, _UNKNOWN, raw.iterations, spent
-        self._answer = raw.x
-        residuals = self._check(raw.x, raw.y)
-        return self._judge(raw.status, residuals), residuals, raw.iterations, spent
-
-    def _check(self, x: Array, y: Array) -> Residuals:
-        """Compute residuals and, as a by-product, the violation of each row into ``_s``."""
-        s, over, under = self._s, self._over, self._under
-        Ax = np.dot(self._A, x, out=self._Ax)
-        np.subtract(Ax, self._scaling.u, out=over)
-        np.subtract(self._scaling.l, Ax, out=under)
-        np.maximum(over, under, out=s)
-        np.maximum(s, 0.0, out=s)
-        gradient = np.dot(self._P, x, out=self._gradient)
-        gradient += self._scaling.q
-        primal = gap = 0.0
-        violated = np.count_nonzero(s) > 0  # a third of the time of any()
-        if violated:
-            primal = float(np.max(s, where=self._hard, initial=0.0))
-        if violated or np.count_nonzero(y):
-            gradient += np.dot(self._At, y, out=self._work)
-            gap = self._gap(y)
-        np.abs(gradient, out=gradient)
-        return Residuals(primal, float(gradient.max(initial=0.0)), gap)
-
-    def _gap(self, y: Array) -> float:
-        """Return how far multipliers and rows are from complementary; uses up the work arrays."""
-        s, price, over, under = self._s, self._price, self._over, self._under
-        # A row away from its bounds must have no multiplier: min(distance, multiplier) is 0 there.
-        np.negative(over, out=over)
-        np.negative(under, out=under)
-        gap = max(float(np.minimum(over, y).max()), float(np.minimum(under, -y).max()))
-        # A soft row that gives way by s has the multiplier linear + 2 quadratic s, never more.
-        np.multiply(self._quadratic2, s, out=price)
-        price += self._linear
-        price -= np.abs(y, out=over)
-        price[self._hard] = 0.0
-        return max(gap, float(-price.min()), float(np.minimum(price, s).max()), 0.0)
+            return Status.FAILED, UNKNOWN, raw.iterations, raw.build_time, spent
+        np.dot(scaling.T, raw.x, out=self._x)
+        np.multiply(raw.y, self._to_y, out=self._y)
+        residuals = self._check(q, l, u, self._x, self._y)
+        status = self._judge(raw.status, residuals)
+        return status, residuals, raw.iterations, raw.build_time, spent
 
     def _judge(self, status: Status, residuals: Residuals) -> Status:
-        if not self._heeds_rows or status not in _JUDGED:
+        if not self._heeds_rows:
             return status
-        if _within(residuals, 1.0, 1.0):
-            return Status.SOLVED
-        # Relative to the size of the problem: far from the setpoint all figures are large.
-        level = 1.0 + float(np.abs(self._scaling.q).max(initial=0.0))
-        reach = 1.0 + float(np.abs(self._Ax).max(initial=0.0))
-        if _within(residuals, level, reach):
+        if residuals.scaled <= TOLERANCE:
             return Status.SOLVED
         return Status.INACCURATE if status is Status.SOLVED else status
 
-    def _failure(self, status: Status, iterations: int, update: float, spent: float) -> Solution:
+    def _failure(
+        self, status: Status, iterations: int, update: float, built: float, spent: float
+    ) -> Solution:
         self._x.fill(np.nan)
-        self._s.fill(np.nan)
-        return Solution(status, self._x, self._s, _UNKNOWN, iterations, update, spent)
+        self._y.fill(np.nan)
+        self._check.slack.fill(np.nan)
+        return Solution(
+            status, self._x, self._y, self._check.slack, UNKNOWN, iterations, update, built, spent
+        )
+
+
+def solve(
+    qp: QuadraticProgram, backend: str | type[Backend] = "daqp", *, limits: Limits = NO_LIMITS
+) -> Solution:
+    """Solve one QP, from wherever it comes; the arrays of the answer are the caller's.
+
+    Raises:
+        UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`.
+    """
+    solution = Solver(qp, backend, limits=limits).solve(qp.q, qp.l, qp.u)
+    return replace(solution, x=solution.x.copy(), y=solution.y.copy(), slack=solution.slack.copy())
+
+
+def _require(kind: type[Backend], limits: Limits) -> None:
+    """Refuse a limit that is not positive, or that the solver does not have."""
+    for name, value in (("iterations", limits.iterations), ("time", limits.time)):
+        if value is None:
+            continue
+        if not value > 0:
+            raise BackendSetupError(kind.name, f"limit of {name} must be positive, got {value}")
+        if name not in kind.limits:
+            has = " and ".join(sorted(kind.limits)) or "none"
+            raise BackendSetupError(kind.name, f"has no limit of {name} (it has: {has})")
 
 
 def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741
@@ -185,13 +195,4 @@ def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741
         all_finite(q)
         and np.count_nonzero(l < np.inf) == l.size
         and np.count_nonzero(u > -np.inf) == u.size
-    )
-
-
-def _within(residuals: Residuals, level: float, reach: float) -> bool:
-    """Whether all residuals are tolerable; one by one, as the largest of them may hide a NaN."""
-    return (
-        residuals.primal <= TOLERANCE * reach
-        and residuals.dual <= TOLERANCE * level
-        and residuals.gap <= TOLERANCE * max(level, reach)
     )

@@ -34,6 +34,8 @@ class RawSolution:
     y: Array
     """Multipliers of the rows, ``(m,)``, positive at upper bounds, negative at lower ones."""
     iterations: int
+    build_time: float = 0.0
+    """Part of the call that was spent on building the solver's problem [s]."""
 
 
 class Backend(Protocol):

@@ -7,6 +7,7 @@ import pytest
 
 from qpmpc import (
     Backend,
+    Backend,
     CommandBound,
     ContactModel,
     Controller,
@@ -411,14 +412,11 @@ def test_lost_set_point_holds_the_command(axis: Axis, kind: type[Backend]) -> No
 
 
 def test_any_class_with_the_members_will_do(axis: Axis) -> None:
-    class Still:
+    class Still(Backend):
         name, package, summary, heeds_rows = "still", "numpy", "moves nothing", False
 
-        def __init__(self, qp: Any) -> None:
+        def __init__(self, qp: Any, limits: Any) -> None:
             self.n, self.m = qp.n, qp.m
-
-        def forget(self) -> None:
-            pass
 
         def solve(self, q: Any, l: Any, u: Any) -> RawSolution:  # noqa: E741
             return RawSolution(Status.SOLVED, np.zeros(self.n), np.zeros(self.m), 0)

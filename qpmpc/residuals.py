@@ -1,0 +1,142 @@
+"""How far an answer is from optimal, computed by the library from the unscaled problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from qpmpc.arrays import Array, all_finite
+from qpmpc.program import QuadraticProgram
+from qpmpc.scaling import Scaling
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Distances from optimality. The first three are in the QP's own units."""
+
+    primal: float
+    """Largest violation of a hard row, in its unit."""
+    dual: float
+    """Largest entry of ``P x + q + A' y``, in cost per unit of a variable."""
+    gap: float
+    """Cost minus the dual's: what could be gained at most, where the other two are zero."""
+    scaled: float
+    """Largest violation of an optimality condition in scaled units, relative to the size of the
+    problem: what an answer is judged by."""
+
+
+UNKNOWN = Residuals(*[float("nan")] * 4)
+
+
+class Check:
+    """Computes the residuals of answers to one family of QPs, with memory of its own."""
+
+    def __init__(self, qp: QuadraticProgram, scaling: Scaling, tolerance: float) -> None:
+        """Prepare.
+
+        Args:
+            qp: the program in its own units. scaling: of the same.
+            tolerance: scaled residual below which the size of the problem is not looked at.
+        """
+        self._P, self._scaling, self._tolerance = np.array(qp.P), scaling, tolerance
+        self._hard = np.isinf(qp.linear)
+        self._linear = np.where(self._hard, 0.0, qp.linear)
+        self._quadratic = np.array(qp.quadratic)
+        self._scaled_linear = np.where(self._hard, 0.0, scaling.qp.linear)
+        self._scaled_quadratic2 = 2.0 * scaling.qp.quadratic
+        self._all_hard = bool(self._hard.all())
+        self.slack = np.zeros(qp.m)
+        """Violation of each row by the last answer, in its unit, ``(m,)``."""
+        self._gradient, self._work = np.zeros(qp.n), np.zeros(qp.n)
+        self._Ax, self._over, self._under, self._s, self._price = (np.zeros(qp.m) for _ in range(5))
+        self.replace_rows(np.array(qp.A))
+
+    def replace_rows(self, A: Array) -> None:
+        """Take other rows ``(m, n)``, unscaled."""
+        self._A, self._At = A, np.ascontiguousarray(A.T)
+
+    def __call__(self, q: Array, l: Array, u: Array, x: Array, y: Array) -> Residuals:  # noqa: E741
+        """Return the residuals of ``x (n,)`` with multipliers ``y (m,)``, all unscaled."""
+        s, over, under, gradient = self.slack, self._over, self._under, self._gradient
+        Ax = np.dot(self._A, x, out=self._Ax)
+        np.subtract(Ax, u, out=over)
+        np.subtract(l, Ax, out=under)
+        np.maximum(over, under, out=s)
+        np.maximum(s, 0.0, out=s)
+        np.dot(self._P, x, out=gradient)
+        gradient += q
+        gap = float(np.dot(x, gradient))
+        primal = complementarity = scaled_primal = 0.0
+        scaling = self._scaling
+        violated = np.count_nonzero(s) > 0  # a third of the time of any()
+        if violated:
+            primal = float(np.max(s, where=self._hard, initial=0.0))
+            np.multiply(scaling.E, s, out=self._s)
+            scaled_primal = float(np.max(self._s, where=self._hard, initial=0.0))
+        else:
+            self._s.fill(0.0)
+        if violated or np.count_nonzero(y):
+            if not all_finite(y):  # comparisons would lose it
+                return UNKNOWN
+            gradient += np.dot(self._At, y, out=self._work)
+            gap += self._gap(y, l, u)
+            complementarity = self._complementarity(y)
+        scaled = scaling.gradient(gradient, self._work)
+        np.abs(gradient, out=gradient)
+        np.abs(scaled, out=scaled)
+        return Residuals(
+            primal,
+            float(gradient.max(initial=0.0)),
+            abs(gap),
+            self._relative(scaled_primal, float(scaled.max(initial=0.0)), complementarity),
+        )
+
+    def _gap(self, y: Array, l: Array, u: Array) -> float:  # noqa: E741
+        """Return what rows and multipliers add to ``x' (P x + q)`` in cost minus dual cost."""
+        active = np.flatnonzero(y)
+        price = y[active]
+        gap = float(np.dot(price, np.where(price > 0, u[active], l[active])))
+        if self._all_hard:
+            return gap
+        s = self.slack
+        gap += float(np.dot(self._linear, s) + np.dot(self._quadratic, s * s))
+        excess = np.maximum(np.abs(price) - self._linear[active], 0.0)
+        give = self._quadratic[active]
+        curved = ~self._hard[active] & (give > 0)
+        return gap + float(np.sum(excess[curved] ** 2 / (4.0 * give[curved])))
+
+    def _complementarity(self, y: Array) -> float:
+        """Return how far scaled multipliers and rows are from complementary; uses up the work."""
+        s, price, over, under = self._s, self._price, self._over, self._under
+        E = self._scaling.E
+        np.divide(y, E, out=price)
+        price *= self._scaling.c
+        # A row away from its bounds must have no multiplier: min(distance, multiplier) is 0 there.
+        over *= E
+        under *= E
+        np.negative(over, out=over)
+        np.negative(under, out=under)
+        np.minimum(over, price, out=over)
+        np.negative(price, out=price)
+        np.minimum(under, price, out=under)
+        gap = max(float(over.max()), float(under.max()), 0.0)
+        if self._all_hard:
+            return gap
+        # A soft row that gives way by s has the multiplier linear + 2 quadratic s, never more.
+        left = np.abs(price, out=price)
+        np.multiply(self._scaled_quadratic2, s, out=over)
+        over += self._scaled_linear
+        np.subtract(over, left, out=left)
+        left[self._hard] = 0.0
+        return max(gap, float(-left.min()), float(np.minimum(left, s, out=under).max()))
+
+    def _relative(self, primal: float, dual: float, gap: float) -> float:
+        worst = max(primal, dual, gap)
+        if worst <= self._tolerance:
+            return worst
+        # Relative to the size of the problem: far from the setpoint all figures are large.
+        level = 1.0 + float(np.abs(self._scaling.q).max(initial=0.0))
+        np.multiply(self._scaling.E, self._Ax, out=self._over)
+        reach = 1.0 + float(np.abs(self._over).max(initial=0.0))
+        return max(primal / reach, dual / level, gap / max(level, reach))

@@ -1,0 +1,212 @@
+"""Bounds as rows of the condensed QP: how each depends on decision, state and last command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qpmpc.arrays import Array, matrix, vector
+from qpmpc.bounds import Bound, CommandBound, MappedBound, OutputBound, over_horizon
+from qpmpc.construction import Decision
+from qpmpc.errors import BoundsError, ModelError
+from qpmpc.models import LinearModel
+from qpmpc.prediction import Prediction
+
+Predict = Callable[[ArrayLike], Prediction]
+"""From an output matrix to its prediction, in the decision of the problem."""
+
+_NOTHING = 1e-12
+"""Size beside the bound's other rows below which the decision does not move a row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What all rows of a problem have in common."""
+
+    model: LinearModel
+    horizon: int
+    moves: int
+    decision: Decision
+    predict: Predict
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """A quantity over the horizon: ``decision z + state x + previous u(k-1)``."""
+
+    decision: Array
+    """``(steps * width, n_decision)``."""
+    state: Array
+    """``(steps * width, n)``."""
+    previous: Array
+    """``(steps * width, n_inputs)``."""
+
+
+class Rows:
+    """The rows of one bound: ``lower <= decision z + offset <= upper``."""
+
+    def __init__(self, bound: Bound, setting: Setting) -> None:
+        """Build them, but for those that bound nothing or that no decision can move.
+
+        Under a delay the first outputs of the horizon are already decided: a row of zeros is a
+        fact, not a choice, and would leave a solver nothing to scale.
+
+        Raises:
+            BoundsError, ModelError, ShapeError: the bound does not fit the model.
+        """
+        self.name = bound.name
+        self.linear, self.quadratic = np.inf, 0.0
+        if isinstance(bound, OutputBound | MappedBound):
+            self.linear, self.quadratic = bound.linear, bound.quadratic
+            if not (self.linear > 0 and self.quadratic >= 0):
+                raise ModelError(
+                    f"bound '{bound.name}': linear must be positive, quadratic not negative"
+                )
+        self.mapped = isinstance(bound, MappedBound)
+        """Whether `map` may be called."""
+        base = _base(bound, setting)
+        self.steps = setting.horizon if _of_outputs(bound) else setting.moves
+        self._base = base.decision.reshape(self.steps, base.decision.shape[0] // self.steps, -1)
+        self.width = self._base.shape[1]
+        self._mapping = np.eye(self.width)
+        if isinstance(bound, MappedBound):
+            self._mapping = matrix(f"mapping of '{self.name}'", bound.mapping, None, self.width)
+            self.width = self._mapping.shape[0]
+        self._shift = np.zeros(self.width)
+        bounds = over_horizon(self.name, bound.lower, bound.upper, self.steps, self.width)
+        self.first = bounds[0][0], bounds[1][0]
+        """Lower and upper bound at the first step, ``(width,)`` each."""
+        lower, upper = (side.ravel() for side in bounds)
+        decision = self._decision()
+        size = np.abs(decision).max(axis=1, initial=0.0)
+        keep: NDArray[np.bool_] = size > _NOTHING * size.max(initial=0.0)
+        self._idle = ~keep
+        if not bound.moving:
+            keep &= np.isfinite(lower) | np.isfinite(upper)
+        self._keep = keep
+        self.size = int(np.count_nonzero(keep))
+        self.decision = np.ascontiguousarray(decision[keep])
+        """How the rows depend on the decision, ``(size, n_decision)``."""
+        self.lower, self.upper = lower[keep], upper[keep]
+        self._parameters = np.hstack([base.state, base.previous])
+
+    @property
+    def parameters(self) -> Array:
+        """How the rows depend on state and last command, ``(size, n + n_inputs)``; 0 if mapped."""
+        if self.mapped:
+            return np.zeros((self.size, self._parameters.shape[1]))
+        return self._parameters[self._keep]
+
+    @property
+    def pattern(self) -> NDArray[np.bool_]:
+        """Where `decision` may ever be other than zero, ``(size, n_decision)``."""
+        if not self.mapped:
+            return self.decision != 0
+        some = np.abs(self._base).max(axis=1) > 0
+        return np.asarray(np.repeat(some, self.width, axis=0)[self._keep], dtype=np.bool_)
+
+    def move(self, lower: ArrayLike, upper: ArrayLike) -> None:
+        """Take other bounds.
+
+        Raises:
+            BoundsError: they do not fit, or bound a row that was left out.
+        """
+        low, high = over_horizon(self.name, lower, upper, self.steps, self.width)
+        lost = (np.isfinite(low) | np.isfinite(high)).ravel() & ~self._keep & ~self._idle
+        if lost.any():
+            raise BoundsError(
+                self.name, "has no rows where it was infinite; make it with moving=True"
+            )
+        self.first = low[0], high[0]
+        np.compress(self._keep, low.reshape(-1), out=self.lower)
+        np.compress(self._keep, high.reshape(-1), out=self.upper)
+
+    def map(self, mapping: ArrayLike, offset: ArrayLike) -> None:
+        """Take another map ``(n_m, ...)`` and offset ``(n_m,)``; `decision` is new then.
+
+        Raises:
+            BoundsError: the bound is not a mapped one. ShapeError, ModelError: wrong shape, NaN.
+        """
+        if not self.mapped:
+            raise BoundsError(self.name, "is not a MappedBound: there is nothing to map")
+        self._mapping = matrix(f"mapping of '{self.name}'", mapping, *self._mapping.shape)
+        self._shift = vector(f"offset of '{self.name}'", offset, self.width)
+        np.compress(self._keep, self._decision(), axis=0, out=self.decision)
+
+    def mapped_offset(self, parameters: Array, out: Array) -> None:
+        """Write what mapped rows are at a zero decision, ``(size,)``, into ``out``.
+
+        Args:
+            parameters: state and last command, ``(n + n_inputs,)``.
+        """
+        free = np.dot(self._parameters, parameters).reshape(self.steps, -1)
+        moved = np.dot(free, self._mapping.T)
+        moved += self._shift
+        np.compress(self._keep, moved.reshape(-1), out=out)
+
+    def _decision(self) -> Array:
+        rows = np.matmul(self._mapping, self._base) if self.mapped else self._base
+        return np.asarray(rows.reshape(self.steps * self.width, -1))
+
+
+def _of_outputs(bound: Bound) -> bool:
+    return isinstance(bound, OutputBound) or (isinstance(bound, MappedBound) and not bound.direct)
+
+
+def _base(bound: Bound, setting: Setting) -> Affine:
+    if isinstance(bound, OutputBound | MappedBound):
+        return (
+            _outputs(setting, bound.output)
+            if _of_outputs(bound)
+            else _direct(setting, bound.output)
+        )
+    return _commands(setting) if isinstance(bound, CommandBound) else _increments(setting)
+
+
+def _outputs(setting: Setting, output: ArrayLike) -> Affine:
+    """``output x(k+i)``, i = 1..N."""
+    p = setting.predict(output)
+    return Affine(p.Theta, p.Psi, p.Upsilon)
+
+
+def _commands(setting: Setting) -> Affine:
+    """``u(k+i)``, i = 0..N_u-1: sums of increments, or the decision itself."""
+    n, n_u, moves = setting.model.n_states, setting.model.n_inputs, setting.moves
+    size = moves * n_u
+    if setting.decision == "absolute":
+        return Affine(np.eye(size), np.zeros((size, n)), np.zeros((size, n_u)))
+    sums = np.kron(np.tril(np.ones((moves, moves))), np.eye(n_u))
+    return Affine(
+        np.asarray(sums, dtype=np.float64), np.zeros((size, n)), np.tile(np.eye(n_u), (moves, 1))
+    )
+
+
+def _increments(setting: Setting) -> Affine:
+    """``Delta u(k+i)``, i = 0..N_u-1: the decision itself, or differences of commands."""
+    n, n_u = setting.model.n_states, setting.model.n_inputs
+    size = setting.moves * n_u
+    if setting.decision == "increment":
+        return Affine(np.eye(size), np.zeros((size, n)), np.zeros((size, n_u)))
+    first = np.vstack([-np.eye(n_u), np.zeros((size - n_u, n_u))])
+    return Affine(np.eye(size) - np.eye(size, k=-n_u), np.zeros((size, n)), first)
+
+
+def _direct(setting: Setting, output: ArrayLike) -> Affine:
+    """``[u(k+i); output x(k+i)]``, i = 0..N_u-1, step by step."""
+    E = matrix("output", output, columns=setting.model.n_states)
+    commands, later, moves = _commands(setting), _outputs(setting, E), setting.moves
+    n_z, n_u = E.shape[0], setting.model.n_inputs
+
+    def joined(command: Array, first: Array, rest: Array) -> Array:
+        outputs = np.vstack([first, rest])[: moves * n_z].reshape(moves, n_z, -1)
+        both = np.concatenate([command.reshape(moves, n_u, -1), outputs], axis=1)
+        return np.asarray(both.reshape(moves * (n_u + n_z), -1))
+
+    return Affine(
+        joined(commands.decision, np.zeros((n_z, commands.decision.shape[1])), later.decision),
+        joined(commands.state, E, later.state),
+        joined(commands.previous, np.zeros((n_z, n_u)), later.previous),
+    )
