@@ -14,6 +14,7 @@ from qpmpc.augment import (
     with_delay,
     with_disturbance,
 )
+from qpmpc.axis import AxisModel, axis_model
 from qpmpc.backends import (
     Backend,
     BackendInfo,
@@ -25,12 +26,16 @@ from qpmpc.backends import (
     register_family,
 )
 from qpmpc.bounds import CommandBound, MappedBound, OutputBound, RateBound
+from qpmpc.cone import force_cone
 from qpmpc.config import (
     BoundsConfig,
     ControllerConfig,
+    JointsConfig,
     ModelConfig,
     ObserverConfig,
     PerAxis,
+    SolverConfig,
+    TangentialConfig,
 )
 from qpmpc.construction import NUMPY, Construction
 from qpmpc.contact import ContactModel, contact_model
@@ -46,9 +51,11 @@ from qpmpc.errors import (
     UnknownNameError,
 )
 from qpmpc.fallback import Source
-from qpmpc.force_control import AxisModel, ForceController, axis_model
+from qpmpc.force_control import ForceController
+from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, from_state_space, stack, zero_order_hold
 from qpmpc.observer import KalmanObserver
+from qpmpc.penalties import ordered
 from qpmpc.prediction import Prediction, absolute_prediction, prediction
 from qpmpc.problem import Problem
 from qpmpc.program import QuadraticProgram
@@ -75,6 +82,8 @@ __all__ = [
     "ExponentialReference",
     "Family",
     "ForceController",
+    "JointSpace",
+    "JointsConfig",
     "KalmanObserver",
     "Limits",
     "LinearModel",
@@ -95,9 +104,11 @@ __all__ = [
     "ShapeError",
     "Solution",
     "Solver",
+    "SolverConfig",
     "Source",
     "Status",
     "Step",
+    "TangentialConfig",
     "Times",
     "UnknownNameError",
     "absolute_prediction",
@@ -106,7 +117,9 @@ __all__ = [
     "combined",
     "constant",
     "contact_model",
+    "force_cone",
     "from_state_space",
+    "ordered",
     "oscillator",
     "parabola",
     "prediction",

@@ -14,7 +14,8 @@ Disturbance = Literal["none", "constant", "ramp", "fused"]
 Interval = tuple[float, float]
 """Lower and upper bound; infinite: none."""
 
-FREE: Interval = (-float("inf"), float("inf"))
+INFINITE = float("inf")
+FREE: Interval = (-INFINITE, INFINITE)
 
 
 @dataclass(frozen=True)
@@ -55,29 +56,80 @@ class ObserverConfig:
 
 @dataclass(frozen=True)
 class PerAxis:
-    """A bound for each axis."""
+    """An interval for each axis; the axes that are not named are free."""
 
     x: Interval = FREE
     y: Interval = FREE
     z: Interval = FREE
 
 
+Band = Interval | PerAxis
+"""The same interval for every axis, or one for each."""
+
+
+@dataclass(frozen=True)
+class TangentialConfig:
+    """Bound on the norm of the force on x and y, ``limit + friction * pressure``: no slip."""
+
+    limit: Annotated[float, Ge(0)] = INFINITE
+    """Norm allowed without pressure [N]; infinite: no bound."""
+    friction: Annotated[float, Ge(0)] = 0.0
+    """Coefficient of the pressing force, -z [-]."""
+    facets: Annotated[int, Ge(3), Le(64)] = 8
+    """Sides of the polygon that stands for the circle."""
+
+
+@dataclass(frozen=True)
+class JointsConfig:
+    """Bounds on Robot_Tool's joints as shares of their own limits."""
+
+    speed: Annotated[float, Gt(0)] = INFINITE
+    """Share of each joint's largest speed [-]; infinite: no bound."""
+    torque: Annotated[float, Gt(0)] = INFINITE
+    """Share of each joint's largest torque [-]; infinite: no bound."""
+
+
+SoftBoundName = Literal["joint_torque", "joint_speed", "velocity", "tangential", "force"]
+
+
 @dataclass(frozen=True)
 class BoundsConfig:
     """Bounds, each side of which may be infinite; command and rate are hard, the others soft."""
 
-    command: Interval = (-20.0, 20.0)
-    """Acceleration command, every axis [m/s^2]."""
-    rate: Interval = FREE
-    """Change of the command per cycle, every axis [m/s^2]."""
-    force: PerAxis = field(default_factory=PerAxis)
-    """Contact force [N]."""
-    velocity: Interval = FREE
-    """Velocity of the tool, every axis [m/s]."""
-    force_penalty: Annotated[float, Gt(0)] = 100.0
-    """Cost of 1 N of violation at one step, in units of the squared force error."""
-    velocity_penalty: Annotated[float, Gt(0)] = 1e4
-    """Cost of 1 m/s of violation at one step."""
+    command: Band = (-20.0, 20.0)
+    """Acceleration command, every axis or per axis [m/s^2]."""
+    rate: Band = FREE
+    """Change of the command per cycle, every axis or per axis [m/s^2]."""
+    force: Band = FREE
+    """Contact force, every axis or per axis [N]."""
+    force_margin: Annotated[float, Ge(0)] = 0.0
+    """What the controller keeps away from the bounds on force, for what it cannot predict [N]."""
+    velocity: Band = FREE
+    """Velocity of the tool, every axis or per axis [m/s]."""
+    velocity_margin: Annotated[float, Ge(0)] = 0.0
+    """What the controller keeps away from the bounds on velocity [m/s]."""
+    tangential: TangentialConfig = field(default_factory=TangentialConfig)
+    joints: JointsConfig = field(default_factory=JointsConfig)
+    order: tuple[SoftBoundName, ...] = (
+        "joint_torque",
+        "joint_speed",
+        "velocity",
+        "tangential",
+        "force",
+    )
+    """All soft bounds, the strongest first: the last one gives way first."""
+    largest_error: Annotated[float, Gt(0)] = 25.0
+    """Force error up to which each bound holds before those that stand after it [N]."""
+
+
+@dataclass(frozen=True)
+class SolverConfig:
+    """When the solver has to stop, in each cycle; an error where it has no such limit."""
+
+    max_iterations: Annotated[int, Ge(1)] | None = None
+    """Iterations; the solver's own limit if not given."""
+    time_limit: Annotated[float, Gt(0)] | None = None
+    """Time [s]; none if not given."""
 
 
 @dataclass(frozen=True)
@@ -99,3 +151,4 @@ class ControllerConfig:
     model: ModelConfig = field(default_factory=ModelConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     bounds: BoundsConfig = field(default_factory=BoundsConfig)
+    solver: SolverConfig = field(default_factory=SolverConfig)

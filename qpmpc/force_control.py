@@ -2,101 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
 from typing import Literal, get_args
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from qpmpc.arrays import Array
-from qpmpc.augment import constant, parabola, ramp, with_delay, with_disturbance
-from qpmpc.backends import Backend
-from qpmpc.bounds import Bound, CommandBound, OutputBound, RateBound
-from qpmpc.config import ControllerConfig, Disturbance, ModelConfig, ObserverConfig
-from qpmpc.contact import contact_model
+from qpmpc.axis import axis_model
+from qpmpc.backends import Backend, Limits, backend_class
+from qpmpc.bounds import Bound, CommandBound, MappedBound, OutputBound, RateBound
+from qpmpc.cone import force_cone
+from qpmpc.config import Band, ControllerConfig, PerAxis, SoftBoundName
 from qpmpc.controller import Controller, Step
 from qpmpc.errors import BoundsError, UnknownNameError
+from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, stack
 from qpmpc.observer import KalmanObserver
+from qpmpc.penalties import SoftBound, ordered
 from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference
 
 Axis = Literal["x", "y", "z"]
-
-
-@dataclass(frozen=True, eq=False)
-class AxisModel:
-    """One axis as the observer and the prediction see it."""
-
-    model: LinearModel
-    """From u to the contact force, with delay, lag and disturbance as states."""
-    velocity: Array
-    """Row that reads the tool's velocity, ``(1, n)``."""
-    measured: Array
-    """Rows that are measured: force, then velocity where it is used, ``(n_measured, n)``."""
-    process_noise: Array
-    """Covariance of the states' unmodelled change per cycle, ``(n, n)``."""
-    measurement_noise: Array
-    """Covariance of what is measured, ``(n_measured, n_measured)``."""
-
-
-def axis_model(
-    model: ModelConfig, observer: ObserverConfig, period: float, *, tool_velocity: bool = True
-) -> AxisModel:
-    """Augment the contact model of one axis as the configuration says.
-
-    Args:
-        model, observer: see there.
-        period: sampling period [s].
-        tool_velocity: whether the tool's velocity must be among the states; without it the
-            ``constant`` and ``ramp`` models know only the velocity relative to the tissue.
-    """
-    kind = observer.disturbance
-    if kind not in get_args(Disturbance):
-        raise UnknownNameError("disturbance", kind, get_args(Disturbance))
-    from_force = kind in ("constant", "ramp")
-    contact = contact_model(
-        model.stiffness,
-        model.velocity_damping,
-        period,
-        lag=model.lag,
-        separate_tool=from_force and tool_velocity,
-    )
-    augmented = with_delay(contact.model, model.delay)
-    n = augmented.n_states
-    noise = np.zeros(n)
-    noise[0] = _UNMODELLED_FORCE
-    if kind == "none":
-        noise[:2] = _TAKEN_AS_MEASURED
-    elif kind == "constant":
-        augmented = with_disturbance(augmented, contact.load, constant())
-        noise = np.append(noise, observer.input_drift)
-    elif kind == "ramp":
-        augmented = with_disturbance(augmented, contact.load, ramp(period))
-        noise = np.append(noise, [0.0, observer.input_slope_drift])
-    else:
-        augmented = with_disturbance(augmented, contact.tissue, parabola(period))
-        augmented = with_disturbance(augmented, contact.load, constant())
-        noise = np.append(noise, [0.0, 0.0, observer.tissue_jerk_drift, observer.input_drift])
-    force, velocity = augmented.C, _widened(contact.velocity, augmented.n_states)
-    uses_velocity = tool_velocity or not from_force
-    if from_force and tool_velocity:
-        noise[2] = observer.input_drift * period
-    sensors = [observer.force_noise, observer.velocity_noise][: 1 + uses_velocity]
-    return AxisModel(
-        augmented,
-        velocity,
-        np.vstack([force, velocity][: 1 + uses_velocity]),
-        np.diag(noise**2),
-        np.diag(np.square(sensors)),
-    )
-
-
-_UNMODELLED_FORCE = 1e-6
-"""Change of the force per cycle that no model explains [N]: keeps the Riccati equation regular."""
-_TAKEN_AS_MEASURED = 1e3
-"""Noise so large that force and velocity [N, m/s] are taken as they are measured."""
 
 
 class ForceController:
@@ -108,6 +35,9 @@ class ForceController:
         axes: Sequence[Axis],
         period: float,
         backend: str | type[Backend] = "daqp",
+        *,
+        joints: JointSpace | None = None,
+        moving: Collection[str] = (),
     ) -> None:
         """Build models, observer, problem and solver.
 
@@ -116,6 +46,8 @@ class ForceController:
             axes: which of x, y, z, in the order of the vectors of `step`.
             period: control period [s].
             backend: a registered name or a backend class.
+            joints: a typical view of the joints, where the configuration bounds them.
+            moving: names of bounds that `move` will change.
 
         Raises:
             QpmpcError: an argument is out of range, or no observer or no backend can be had.
@@ -124,10 +56,33 @@ class ForceController:
         for name in self.axes:
             if name not in get_args(Axis):
                 raise UnknownNameError("axis", name, get_args(Axis))
+        kind = backend_class(backend) if isinstance(backend, str) else backend
+        self._bounds, self._joints = config.bounds, joints
+        bounds = config.bounds
+        self.bounds_joints = bool(np.isfinite([bounds.joints.speed, bounds.joints.torque]).any())
+        """Whether `view` has to be told the joints before each step."""
         count = len(self.axes)
-        bounded = bool(np.isfinite(config.bounds.velocity).any())
-        axis = axis_model(config.model, config.observer, period, tool_velocity=bounded)
+        axis = axis_model(
+            config.model,
+            config.observer,
+            period,
+            tool_velocity=self.bounds_joints
+            or "velocity" in moving
+            or bool(np.isfinite(self._band("velocity", bounds.velocity)).any()),
+            construction=kind.construction,
+        )
         model = stack([axis.model] * count)
+        velocity = block_diag(*[axis.velocity] * count)
+        soft = ordered(
+            self._soft_bounds(model, velocity, moving),
+            model,
+            config.horizon,
+            output_weight=config.force_weight,
+            largest_error=bounds.largest_error,
+            control_horizon=config.control_horizon,
+            decision=config.decision,
+            construction=kind.construction,
+        )
         problem = Problem(
             model,
             config.horizon,
@@ -135,7 +90,8 @@ class ForceController:
             decision=config.decision,
             output_weight=config.force_weight,
             increment_weight=config.increment_weight,
-            bounds=self._bounds(config, model, block_diag(*[axis.velocity] * count)),
+            bounds=[*self._hard_bounds(moving), *soft],
+            construction=kind.construction,
         )
         observer = KalmanObserver(
             model,
@@ -144,7 +100,8 @@ class ForceController:
             block_diag(*[axis.measurement_noise] * count),
         )
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
-        self.general = Controller(problem, observer, reference, backend)
+        limits = Limits(config.solver.max_iterations, config.solver.time_limit)
+        self.general = Controller(problem, observer, reference, kind, limits)
         self._measurement = np.zeros((count, axis.measured.shape[0]))
 
     def reset(self, force: Array) -> None:
@@ -170,19 +127,103 @@ class ForceController:
         """Do what needs no measurement, after the command has been applied."""
         self.general.prepare()
 
-    def _bounds(self, config: ControllerConfig, model: LinearModel, velocity: Array) -> list[Bound]:
-        b = config.bounds
-        intervals = np.array([getattr(b.force, axis) for axis in self.axes])
-        for name, (low, high) in (("command", b.command), ("rate", b.rate)):
-            if not low <= 0 <= high:
-                raise BoundsError(name, f"must contain 0, got [{low:g}, {high:g}]")
-        return [
-            CommandBound(*b.command),
-            RateBound(*b.rate),
-            OutputBound("force", model.C, intervals[:, 0], intervals[:, 1], b.force_penalty),
-            OutputBound("velocity", velocity, *b.velocity, b.velocity_penalty),
-        ]
+    def move(self, name: str, lower: Array, upper: Array) -> None:
+        """Change a bound from the next step on; margins are kept as configured.
+
+        Args:
+            name: "command", "rate", "force" or "velocity".
+            lower, upper: one value, one an axis, or one a step and axis.
+
+        Raises:
+            UnknownNameError, BoundsError: see `Problem.move`.
+        """
+        margin = getattr(self._bounds, f"{name}_margin", 0.0)
+        self.general.problem.move(name, *_tightened(name, lower, upper, margin))
+
+    def view(self, joints: JointSpace) -> None:
+        """Take the joints as they are now; before each step, where `bounds_joints`."""
+        problem, share = self.general.problem, self._bounds.joints
+        if np.isfinite(share.speed):
+            problem.map("joint_speed", joints.speed_gain, joints.speed_offset)
+        if np.isfinite(share.torque):
+            problem.map("joint_torque", _torque_map(joints), joints.torque_offset)
+
+    def _hard_bounds(self, moving: Collection[str]) -> list[Bound]:
+        result: list[Bound] = []
+        for kind, band in ((CommandBound, self._bounds.command), (RateBound, self._bounds.rate)):
+            low, high = self._band(kind.name, band)
+            if not ((low <= 0) & (high >= 0)).all():
+                raise BoundsError(kind.name, f"must contain 0, got [{low.max():g}, {high.min():g}]")
+            result.append(kind(low, high, moving=kind.name in moving))
+        return result
+
+    def _soft_bounds(
+        self, model: LinearModel, velocity: Array, moving: Collection[str]
+    ) -> list[SoftBound]:
+        """Return the soft bounds that are configured, strongest first, without penalties."""
+        bounds = self._bounds
+        if sorted(bounds.order) != sorted(get_args(SoftBoundName)):
+            names = ", ".join(get_args(SoftBoundName))
+            raise BoundsError("order", f"must name each of {names} once, got {bounds.order}")
+        found: dict[str, SoftBound] = {}
+        for name, output, margin in (
+            ("force", model.C, bounds.force_margin),
+            ("velocity", velocity, bounds.velocity_margin),
+        ):
+            band = self._band(name, getattr(bounds, name))
+            if name in moving or np.isfinite(band).any():
+                low, high = _tightened(name, band[0], band[1], margin)
+                found[name] = OutputBound(name, output, low, high, 1.0, moving=name in moving)
+        if np.isfinite(bounds.tangential.limit):
+            found["tangential"] = self._tangential(model)
+        if self.bounds_joints:
+            found |= self._joint_bounds(model, velocity)
+        return [found[name] for name in bounds.order if name in found]
+
+    def _tangential(self, model: LinearModel) -> OutputBound:
+        cone = self._bounds.tangential
+        if self.axes != get_args(Axis):
+            raise BoundsError("tangential", "needs force control on x, y and z")
+        return force_cone(
+            "tangential", model.C[:2], -model.C[2:],
+            limit=cone.limit, friction=cone.friction, facets=cone.facets, linear=1.0,
+        )  # fmt: skip
+
+    def _joint_bounds(self, model: LinearModel, velocity: Array) -> dict[str, SoftBound]:
+        joints, share = self._joints, self._bounds.joints
+        if joints is None:
+            raise BoundsError("joints", "the plant tells nothing about its joints")
+        found: dict[str, SoftBound] = {}
+        if np.isfinite(share.speed):
+            limit = share.speed * joints.speed_limit
+            found["joint_speed"] = MappedBound(
+                "joint_speed", velocity, joints.speed_gain, -limit, limit, 1.0
+            )
+        if np.isfinite(share.torque):
+            limit = share.torque * joints.torque_limit
+            found["joint_torque"] = MappedBound(
+                "joint_torque", np.vstack([velocity, model.C]), _torque_map(joints),
+                -limit, limit, 1.0, direct=True,
+            )  # fmt: skip
+        return found
+
+    def _band(self, name: str, band: Band) -> Array:
+        """Return lower and upper bound of each axis, ``(2, n_axes)``."""
+        each = [getattr(band, axis) for axis in self.axes] if isinstance(band, PerAxis) else None
+        sides = np.array(each if each is not None else [band] * len(self.axes), dtype=np.float64).T
+        if np.isnan(sides).any() or (sides[0] > sides[1]).any():
+            raise BoundsError(name, f"lower must not exceed upper, got {sides.T.tolist()}")
+        return sides
 
 
-def _widened(row: Array, n: int) -> Array:
-    return np.hstack([row, np.zeros((1, n - row.shape[1]))])
+def _tightened(name: str, lower: Array, upper: Array, margin: float) -> tuple[Array, Array]:
+    low, high = np.asarray(lower) + margin, np.asarray(upper) - margin
+    if (low > high).any():
+        raise BoundsError(name, f"a margin of {margin:g} on both sides leaves no room")
+    return low, high
+
+
+def _torque_map(joints: JointSpace) -> Array:
+    return np.hstack(
+        [joints.command_gain, joints.velocity_gain, joints.force_gain]
+    )

@@ -62,9 +62,9 @@ class Problem:
         if decision not in get_args(Decision):
             raise UnknownNameError("decision", decision, get_args(Decision))
         self.model, self.horizon, self.decision = model, horizon, decision
-        moves = horizon if control_horizon is None else control_horizon
-        self.prediction: Prediction = construction.prediction(model, horizon, moves, None, decision)
-        self.moves = moves
+        setting = Setting.of(model, horizon, control_horizon, decision, construction)
+        self.prediction: Prediction = setting.predict(model.C)
+        self.moves = moves = setting.moves
         delta = vector("output_weight", output_weight, model.n_outputs)
         lam = vector("increment_weight", increment_weight, model.n_inputs)
         if (delta < 0).any() or (lam <= 0).any():
@@ -72,10 +72,6 @@ class Problem:
         P, self._error_to_q = construction.cost(
             self.prediction.Theta, np.tile(delta, horizon), np.tile(lam, moves)
         )
-        setting = Setting(
-            model, horizon, moves, decision,
-            lambda output: construction.prediction(model, horizon, moves, output, decision),
-        )  # fmt: skip
         names = [bound.name for bound in bounds]
         if len(set(names)) != len(names):
             raise BoundsError(", ".join(names), "two bounds have the same name")

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qpmpc.arrays import Array, matrix, vector
 from qpmpc.bounds import Bound, CommandBound, MappedBound, OutputBound, over_horizon
-from qpmpc.construction import Decision
+from qpmpc.construction import Construction, Decision
 from qpmpc.errors import BoundsError, ModelError
 from qpmpc.models import LinearModel
 from qpmpc.prediction import Prediction
@@ -31,6 +31,23 @@ class Setting:
     moves: int
     decision: Decision
     predict: Predict
+
+    @classmethod
+    def of(
+        cls,
+        model: LinearModel,
+        horizon: int,
+        control_horizon: int | None,
+        decision: Decision,
+        construction: Construction,
+    ) -> Setting:
+        """Fill in the control horizon and the way to a prediction."""
+        moves = horizon if control_horizon is None else control_horizon
+
+        def predict(output: ArrayLike) -> Prediction:
+            return construction.prediction(model, horizon, moves, output, decision)
+
+        return cls(model, horizon, moves, decision, predict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +99,7 @@ class Rows:
         lower, upper = (side.ravel() for side in bounds)
         decision = self._decision()
         size = np.abs(decision).max(axis=1, initial=0.0)
-        keep: NDArray[np.bool_] = size > _NOTHING * size.max(initial=0.0)
+        keep = np.asarray(size > _NOTHING * size.max(initial=0.0), dtype=np.bool_)
         self._idle = ~keep
         if not bound.moving:
             keep &= np.isfinite(lower) | np.isfinite(upper)
@@ -104,7 +121,7 @@ class Rows:
     def pattern(self) -> NDArray[np.bool_]:
         """Where `decision` may ever be other than zero, ``(size, n_decision)``."""
         if not self.mapped:
-            return self.decision != 0
+            return np.asarray(self.decision != 0, dtype=np.bool_)
         some = np.abs(self._base).max(axis=1) > 0
         return np.asarray(np.repeat(some, self.width, axis=0)[self._keep], dtype=np.bool_)
 

@@ -1,0 +1,99 @@
+"""The model of one axis as observer and prediction see it: contact, delay, lag, disturbance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from qpmpc.arrays import Array
+from qpmpc.augment import constant, parabola, ramp, with_delay, with_disturbance
+from qpmpc.config import Disturbance, ModelConfig, ObserverConfig
+from qpmpc.construction import NUMPY, Construction
+from qpmpc.errors import UnknownNameError
+from qpmpc.models import LinearModel
+
+
+@dataclass(frozen=True, eq=False)
+class AxisModel:
+    """One axis as the observer and the prediction see it."""
+
+    model: LinearModel
+    """From u to the contact force, with delay, lag and disturbance as states."""
+    velocity: Array
+    """Row that reads the tool's velocity, ``(1, n)``."""
+    measured: Array
+    """Rows that are measured: force, then velocity where it is used, ``(n_measured, n)``."""
+    process_noise: Array
+    """Covariance of the states' unmodelled change per cycle, ``(n, n)``."""
+    measurement_noise: Array
+    """Covariance of what is measured, ``(n_measured, n_measured)``."""
+
+
+def axis_model(
+    model: ModelConfig,
+    observer: ObserverConfig,
+    period: float,
+    *,
+    tool_velocity: bool = True,
+    construction: Construction = NUMPY,
+) -> AxisModel:
+    """Augment the contact model of one axis as the configuration says.
+
+    Args:
+        model, observer: see there.
+        period: sampling period [s].
+        tool_velocity: whether the tool's velocity must be among the states; without it the
+            ``constant`` and ``ramp`` models know only the velocity relative to the tissue.
+        construction: who builds the contact model.
+    """
+    kind = observer.disturbance
+    if kind not in get_args(Disturbance):
+        raise UnknownNameError("disturbance", kind, get_args(Disturbance))
+    from_force = kind in ("constant", "ramp")
+    contact = construction.contact(
+        model.stiffness,
+        model.velocity_damping,
+        period,
+        lag=model.lag,
+        separate_tool=from_force and tool_velocity,
+    )
+    augmented = with_delay(contact.model, model.delay)
+    n = augmented.n_states
+    noise = np.zeros(n)
+    noise[0] = _UNMODELLED_FORCE
+    if kind == "none":
+        noise[:2] = _TAKEN_AS_MEASURED
+    elif kind == "constant":
+        augmented = with_disturbance(augmented, contact.load, constant())
+        noise = np.append(noise, observer.input_drift)
+    elif kind == "ramp":
+        augmented = with_disturbance(augmented, contact.load, ramp(period))
+        noise = np.append(noise, [0.0, observer.input_slope_drift])
+    else:
+        augmented = with_disturbance(augmented, contact.tissue, parabola(period))
+        augmented = with_disturbance(augmented, contact.load, constant())
+        noise = np.append(noise, [0.0, 0.0, observer.tissue_jerk_drift, observer.input_drift])
+    force, velocity = augmented.C, _widened(contact.velocity, augmented.n_states)
+    uses_velocity = tool_velocity or not from_force
+    if from_force and tool_velocity:
+        noise[2] = observer.input_drift * period
+    sensors = [observer.force_noise, observer.velocity_noise][: 1 + uses_velocity]
+    return AxisModel(
+        augmented,
+        velocity,
+        np.vstack([force, velocity][: 1 + uses_velocity]),
+        np.diag(noise**2),
+        np.diag(np.square(sensors)),
+    )
+
+
+_UNMODELLED_FORCE = 1e-6
+"""Change of the force per cycle that no model explains [N]: keeps the Riccati equation regular."""
+_TAKEN_AS_MEASURED = 1e3
+"""Noise so large that force and velocity [N, m/s] are taken as they are measured."""
+
+
+def _widened(row: Array, n: int) -> Array:
+    return np.hstack([row, np.zeros((1, n - row.shape[1]))])

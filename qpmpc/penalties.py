@@ -1,0 +1,71 @@
+"""Exact penalties in an order: what gives way first when not all soft bounds can hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qpmpc.arrays import Array, vector
+from qpmpc.bounds import MappedBound, OutputBound
+from qpmpc.construction import NUMPY, Construction, Decision
+from qpmpc.models import LinearModel
+from qpmpc.rows import Rows, Setting
+
+_MARGIN = 2.0
+"""Factor between a penalty and the most that giving way could bring."""
+_HARDLY = 1e-2
+"""Directions in which rows move less than this, beside the others, are no way to gain anything."""
+
+SoftBound = OutputBound | MappedBound
+
+
+def ordered(
+    bounds: Sequence[SoftBound],
+    model: LinearModel,
+    horizon: int,
+    *,
+    output_weight: ArrayLike,
+    largest_error: ArrayLike,
+    control_horizon: int | None = None,
+    decision: Decision = "increment",
+    construction: Construction = NUMPY,
+) -> list[SoftBound]:
+    """Return the bounds with penalties such that each holds before all that stand after it.
+
+    A row that gives way by one unit lets the outputs, and the rows of weaker bounds, move by
+    ``M = A_weaker pinv(A_row)``. What that can bring is at most the sum of the weaker penalties and
+    of the slope of the output's cost, times ``|M|``; the penalty is twice that. The promise holds
+    where no output is further from its reference than ``largest_error``: the cost is quadratic, so
+    that no finite penalty is exact for every error.
+
+    Args:
+        bounds: strongest first; their ``linear`` is replaced.
+        model, horizon, output_weight, control_horizon, decision, construction: as for `Problem`.
+        largest_error: error of the outputs up to which the order is promised, scalar or
+            ``(n_outputs,)``.
+    """
+    common = Setting.of(model, horizon, control_horizon, decision, construction)
+    delta = vector("output_weight", output_weight, model.n_outputs)
+    error = vector("largest_error", largest_error, model.n_outputs)
+    slope = np.tile(2.0 * delta * error, horizon)
+    weaker: list[tuple[Array, Array]] = [(common.predict(model.C).Theta, slope)]
+    result: list[SoftBound] = []
+    for bound in reversed(bounds):
+        kept = replace(bound, moving=True) if isinstance(bound, OutputBound) else bound
+        rows = Rows(kept, common).decision
+        penalty = _MARGIN * _relief(rows, weaker)
+        result.append(replace(bound, linear=penalty))
+        weaker.append((rows, np.full(len(rows), penalty)))
+    return result[::-1]
+
+
+def _relief(rows: Array, weaker: Sequence[tuple[Array, Array]]) -> float:
+    """Return the most that one unit of one row can bring to all that is weaker."""
+    if not rows.size:
+        return 1.0
+    inverse = np.linalg.pinv(rows, rcond=_HARDLY)
+    gain = sum((price @ np.abs(other @ inverse) for other, price in weaker), np.zeros(len(rows)))
+    return float(gain.max())
