@@ -6,7 +6,7 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le, MinLen
 
 from plant.config import CellConfig
-from qpmpc.config import ControllerConfig
+from qpmpc.config import ControllerConfig, Interval
 from scenarios.motion import Axis, MotionConfig
 
 
@@ -39,6 +39,29 @@ class SetpointConfig:
 
 
 @dataclass(frozen=True)
+class AxesChange:
+    """New intervals for some axes; the others stay as they are."""
+
+    x: Interval | None = None
+    y: Interval | None = None
+    z: Interval | None = None
+
+
+@dataclass(frozen=True)
+class BoundsStep:
+    """A change of bounds, which the controller sees coming within its horizon."""
+
+    time: Annotated[float, Gt(0)]
+    """When it begins [s]."""
+    ramp: Annotated[float, Ge(0)] = 0.0
+    """Time over which finite bounds move to their new values [s]; 0: at once."""
+    force: Interval | AxesChange | None = None
+    """New bounds on the contact force [N]; as before if not given."""
+    velocity: Interval | AxesChange | None = None
+    """New bounds on the velocity of the tool [m/s]; as before if not given."""
+
+
+@dataclass(frozen=True)
 class Scenario:
     """An experiment on the two-robot cell. Keys of the TOML file are the names of the fields."""
 
@@ -56,6 +79,9 @@ class Scenario:
     """Axes under force control; the tool holds its position on the others."""
     setpoint: SetpointConfig = field(default_factory=SetpointConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
+    bounds_steps: tuple[BoundsStep, ...] = ()
+    """Changes of ``controller.bounds`` during the run, in the order of their times. A setpoint may
+    lie outside them: the bound is then what is held."""
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     cell: CellConfig = field(default_factory=CellConfig)
 

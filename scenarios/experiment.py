@@ -5,18 +5,24 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plant.cell import Cell, heart_programme
 from plant.errors import UnstableSimulationError
+from qpmpc.backends import backend_class
 from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
 from scenarios.log import Log
-from scenarios.loop import Stop, control_loop, watch_loop
+from scenarios.loop import Stop, Watch, control_loop, watch_loop
 from scenarios.motion import load_motion
+from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
 
+Array = NDArray[np.float64]
 Report = Callable[[str, int, int], None]
 """Called now and then with the stage, cycles done and cycles in all."""
+Shadow = Callable[[ForceController], Watch]
+"""From the controller of a run to what is shown its steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +31,7 @@ class Experiment:
 
     scenario: Scenario
     log: Log
+    schedule: Schedule
     stopped: str | None
     """Why it ended before both runs were through: "interrupted", or what failed; None if it did
     not."""
@@ -32,36 +39,62 @@ class Experiment:
     """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``."""
 
 
-def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experiment:
+def run_experiment(
+    scenario: Scenario,
+    *,
+    report: Report,
+    stop: Stop,
+    held: Array | None = None,
+    shadow: Shadow | None = None,
+) -> Experiment:
     """Run a scenario: controlled first, then with the brakes closed.
 
     The tool is held where the force would be the setpoint if the tissue stood in the middle of
     its motion: no other place gives less force error.
+
+    Args:
+        scenario: see there.
+        report, stop: see `Report`, `scenarios.loop.Stop`.
+        held: force of the run with the brakes closed, ``(cycles, 3)`` [N], where an experiment of
+            the same motion has it already.
+        shadow: makes what is shown every step of the controller.
 
     Raises:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had; nothing
         has been simulated then.
     """
     started = perf_counter()
-    period, cycles = scenario.cell.period, scenario.cycles
-    controller = ForceController(scenario.controller, scenario.axes, period, scenario.backend)
+    period, cycles, horizon = scenario.cell.period, scenario.cycles, scenario.controller.horizon
+    kind = backend_class(scenario.backend)  # one that is not there is told before anything is done
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
     wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
-    cell, held = (
-        Cell(
+
+    def make_cell() -> Cell:
+        return Cell(
             scenario.cell, motion, force=wished, seed=scenario.seed, axes=scenario.axes, heart=heart
         )
-        for _ in range(2)
+
+    cell = make_cell()
+    setpoint = Setpoint(scenario.setpoint, scenario.axes, cycles, horizon, period)
+    schedule = Schedule(scenario)
+    controller = ForceController(
+        scenario.controller,
+        scenario.axes,
+        period,
+        kind,
+        joints=cell.joint_space(np.zeros(3), np.zeros(3)),
+        moving=schedule.moving,
     )
-    held.move_tool(wished / scenario.cell.contact.stiffness)
-    held.close_brakes()
-    setpoint = Setpoint(
-        scenario.setpoint, scenario.axes, cycles, scenario.controller.horizon, period
-    )
-    controller.reset(setpoint.force[0])
+    touching = scenario.cell.contact.gap == 0
+    controller.reset(setpoint.force[0] * touching)
     log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
+    watch = shadow(controller) if shadow else None
+    if held is None:
+        still = make_cell()
+        still.move_tool(wished / scenario.cell.contact.stiffness)
+        still.close_brakes()
     ready = perf_counter()
     controlled, stopped = None, None
     try:
@@ -71,18 +104,22 @@ def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experim
             setpoint,
             log,
             cycles,
-            limits=scenario.controller.bounds.command,
+            schedule=schedule,
+            watch=watch,
             progress=lambda done, total: report("compensated", done, total),
             stop=stop,
         )
         controlled = perf_counter()
-        complete = complete and watch_loop(
-            held,
-            log.force_uncompensated,
-            cycles,
-            progress=lambda done, total: report("uncompensated", done, total),
-            stop=stop,
-        )
+        if held is not None:
+            log.force_uncompensated[:] = held
+        elif complete:
+            complete = watch_loop(
+                still,
+                log.force_uncompensated,
+                cycles,
+                progress=lambda done, total: report("uncompensated", done, total),
+                stop=stop,
+            )
         stopped = None if complete else "interrupted"
     except UnstableSimulationError as error:
         stopped = str(error)
@@ -92,6 +129,7 @@ def run_experiment(scenario: Scenario, *, report: Report, stop: Stop) -> Experim
     return Experiment(
         scenario,
         log,
+        schedule,
         stopped,
         {
             "setup": ready - started,

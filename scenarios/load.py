@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
+from types import UnionType
 from typing import Any, get_args, get_type_hints
 
 import tomli_w
@@ -15,9 +16,12 @@ from pydantic import TypeAdapter, ValidationError
 from plant.config import SensorConfig
 from plant.sensors import SENSORS
 from scenarios.config import Scenario
+from scenarios.consistency import check_consistent
 from scenarios.errors import ScenarioError, ScenarioKeyError, UnknownScenarioError, nearest
 
 Table = dict[str, Any]
+_NO_BOUNDS = ("margin", "friction", "largest_error", "time")
+"""Keys beside the bounds that must be finite."""
 _FILES = ("file", "beats")
 """Keys of the motion that name a file, relative to the scenario's own place."""
 
@@ -91,10 +95,11 @@ def check_scenario(table: Table, source: str) -> Scenario:
         # Strict, and through JSON: there an array may become a tuple, but "1" no number.
         scenario = _ADAPTER.validate_json(json.dumps(table, default=str), strict=True)
     except ValidationError as error:
-        first = error.errors()[0]
+        # Of the alternatives of a key the one that got furthest is the one that was meant.
+        first = max(error.errors(), key=lambda e: len(e["loc"]))
         raise ScenarioKeyError(source, _dotted(first["loc"]), _reason(first)) from None
     _check_finite(table, source, ())
-    _check_consistent(scenario, source)
+    check_consistent(scenario, source)
     return scenario
 
 
@@ -165,16 +170,24 @@ def _check_keys(table: Any, kind: Any, source: str, path: tuple[str, ...] = ()) 
             for i, item in enumerate(table):
                 _check_keys(item, _element(kind), source, (*path, str(i)))
         return
-    hints = get_type_hints(kind)
+    hints = {key: _record(hint) for key, hint in get_type_hints(kind).items()}
     names = [f.name for f in fields(kind)]
     for key, value in table.items():
         if key not in names:
             raise ScenarioKeyError(
                 source, ".".join((*path, key)), f"unknown key{nearest(key, names)}"
             )
-        if is_dataclass(hints[key]) and not isinstance(value, dict):
+        alone = is_dataclass(get_type_hints(kind)[key])
+        if alone and not isinstance(value, dict):
             raise ScenarioKeyError(source, ".".join((*path, key)), "must be a table of keys")
         _check_keys(value, hints[key], source, (*path, key))
+
+
+def _record(kind: Any) -> Any:
+    """Return the record among the alternatives of a union, anything else as it is."""
+    if isinstance(kind, UnionType):
+        return next((k for k in get_args(kind) if is_dataclass(k)), kind)
+    return kind
 
 
 def _element(kind: Any) -> Any:
@@ -192,57 +205,16 @@ def _check_finite(value: Any, source: str, path: tuple[str, ...]) -> None:
         for i, item in enumerate(value):
             _check_finite(item, source, (*path, str(i)))
     elif isinstance(value, float):
-        bound = path[:2] == ("controller", "bounds") and not path[-1].endswith("penalty")
+        bound = "bounds" in path[:2] or path[0] == "bounds_steps"
+        bound &= not path[-1].endswith(_NO_BOUNDS)
         if math.isnan(value) or (math.isinf(value) and not bound):
             raise ScenarioKeyError(source, ".".join(path), f"must be a finite number, got {value}")
 
 
-def _check_consistent(scenario: Scenario, source: str) -> None:
-    bounds = scenario.controller.bounds
-    intervals = {
-        "command": bounds.command,
-        "rate": bounds.rate,
-        "velocity": bounds.velocity,
-        **{f"force.{axis}": getattr(bounds.force, axis) for axis in "xyz"},
-    }
-    for name, (low, high) in intervals.items():
-        if low > high:
-            raise ScenarioKeyError(
-                source, f"controller.bounds.{name}", f"lower {low:g} exceeds upper {high:g}"
-            )
-    for name in ("command", "rate", "velocity"):
-        low, high = intervals[name]
-        if not low <= 0 <= high:
-            raise ScenarioKeyError(
-                source, f"controller.bounds.{name}", f"must contain 0, got [{low:g}, {high:g}]"
-            )
-    moves, horizon = scenario.controller.control_horizon, scenario.controller.horizon
-    if moves is not None and moves > horizon:
-        raise ScenarioKeyError(
-            source, "controller.control_horizon", f"{moves} exceeds the horizon of {horizon}"
-        )
-    if len(set(scenario.axes)) != len(scenario.axes):
-        raise ScenarioKeyError(source, "axes", f"names an axis twice: {list(scenario.axes)}")
-    for axis in scenario.axes:
-        low, high = intervals[f"force.{axis}"]
-        wished = [("setpoint", getattr(scenario.setpoint, axis))]
-        for i, step in enumerate(scenario.setpoint.steps):
-            wished.append((f"setpoint.steps.{i}", getattr(step, axis)))
-        for place, value in wished:
-            if value is not None and not low <= value <= high:
-                raise ScenarioKeyError(
-                    source,
-                    f"{place}.{axis}",
-                    f"{value:g} N lies outside controller.bounds.force.{axis} = "
-                    f"[{low:g}, {high:g}] N",
-                )
-    times = [step.time for step in scenario.setpoint.steps]
-    if times != sorted(times):
-        raise ScenarioKeyError(source, "setpoint.steps", "must be in the order of their times")
-
-
 def _dotted(location: tuple[int | str, ...]) -> str:
-    return ".".join(str(part) for part in location) or "(file)"
+    # Where a key has alternatives, the location names the alternative: a type, not a key.
+    parts = [str(part) for part in location]
+    return ".".join(p for p in parts if "[" not in p and not p[:1].isupper()) or "(file)"
 
 
 def _reason(error: Any) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from plant.interface import Measurement, Truth
 from qpmpc.controller import Step
+from qpmpc.fallback import Source
 from qpmpc.status import Status
 from scenarios.motion import Axis
 
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 _AXES = ("x", "y", "z")
 _STATUSES = tuple(Status)
 _CODES = {status: code for code, status in enumerate(_STATUSES)}
+_SOURCES = tuple(Source)
+_SOURCE_CODES = {source: code for code, source in enumerate(_SOURCES)}
 
 
 class Log:
@@ -45,6 +48,8 @@ class Log:
         self.tool_velocity = np.zeros((cycles, 3))
         self.command = np.zeros((cycles, n))
         self.torque = np.zeros((cycles, 6))
+        self.joint_velocity = np.zeros((cycles, 6))
+        self.touching = np.zeros(cycles, dtype=bool)
         self.torque_saturated = np.zeros(cycles, dtype=bool)
         self.command_saturated = np.zeros(cycles, dtype=bool)
         self.slack = np.zeros((cycles, len(self.bounds)))
@@ -52,6 +57,8 @@ class Log:
         self.residual = np.zeros(cycles)
         self.iterations = np.zeros(cycles, dtype=np.int32)
         self.status = np.zeros(cycles, dtype=np.int8)
+        self.source = np.zeros(cycles, dtype=np.int8)
+        self.build_time = np.zeros(cycles)
         self.solve_time = np.zeros(cycles)
         self.cycle_time = np.zeros(cycles)
 
@@ -77,16 +84,19 @@ class Log:
         self.tool_velocity[k] = measurement.velocity
         self.command[k] = step.command
         self.torque[k] = truth.torque
+        self.joint_velocity[k] = truth.joint_velocity
+        self.touching[k] = truth.touching
         self.torque_saturated[k] = truth.saturated
         self.command_saturated[k] = saturated
         if self.bounds:
             if self._starts is None:
                 self._starts = [step.rows[name].start for name in self.bounds]
             np.maximum.reduceat(step.violation, self._starts, out=self.slack[k])
-        residuals = step.residuals
-        self.residual[k] = max(residuals.primal, residuals.dual, residuals.gap)
+        self.residual[k] = step.residuals.scaled
         self.iterations[k] = step.iterations
         self.status[k] = _CODES[step.status]
+        self.source[k] = _SOURCE_CODES[step.source]
+        self.build_time[k] = step.times.build
         self.solve_time[k] = step.times.solve
         self.cycle_time[k] = cycle_time
         self.cycles = k + 1
@@ -95,6 +105,11 @@ class Log:
         """How many cycles ended with each status, those that occurred."""
         counts = np.bincount(self.status[: self.cycles], minlength=len(_STATUSES))
         return {str(s): int(c) for s, c in zip(_STATUSES, counts, strict=True) if c}
+
+    def source_counts(self) -> dict[str, int]:
+        """How many cycles took their command from each source, those that did not occur too."""
+        counts = np.bincount(self.source[: self.cycles], minlength=len(_SOURCES))
+        return {str(s): int(c) for s, c in zip(_SOURCES, counts, strict=True)}
 
     def table(self) -> pa.Table:
         """Return the rows so far; every column's metadata has its unit."""
@@ -122,15 +137,22 @@ class Log:
         add("tool_velocity", "m/s", self.tool_velocity, _AXES)
         add("command", "m/s^2", self.command, self.axes)
         add("torque", "N m", self.torque, joints)
+        add("joint_velocity", "rad/s", self.joint_velocity, joints)
+        add("touching", "1", self.touching)
         add("torque_saturated", "1", self.torque_saturated)
         add("command_saturated", "1", self.command_saturated)
         for i, name in enumerate(self.bounds):
             add(f"slack_{name}", _UNITS.get(name, "1"), self.slack[:, i])
         add("residual", "1", self.residual)
         add("iterations", "1", self.iterations)
-        labels = pa.array([str(s) for s in _STATUSES])
-        codes = pa.array(self.status[:end])
-        columns.append(("status", "1", pa.DictionaryArray.from_arrays(codes, labels)))
+        for name, names, chosen in (
+            ("status", _STATUSES, self.status),
+            ("source", _SOURCES, self.source),
+        ):
+            labels = pa.array([str(s) for s in names])
+            codes = pa.array(chosen[:end])
+            columns.append((name, "1", pa.DictionaryArray.from_arrays(codes, labels)))
+        add("build_time", "s", self.build_time)
         add("solve_time", "s", self.solve_time)
         add("cycle_time", "s", self.cycle_time)
         schema = pa.schema(
@@ -143,4 +165,12 @@ class Log:
         pq.write_table(self.table(), path, compression="zstd")
 
 
-_UNITS = {"force": "N", "velocity": "m/s", "command": "m/s^2", "rate": "m/s^2"}
+_UNITS = {
+    "force": "N",
+    "tangential": "N",
+    "velocity": "m/s",
+    "joint_speed": "rad/s",
+    "joint_torque": "N m",
+    "command": "m/s^2",
+    "rate": "m/s^2",
+}

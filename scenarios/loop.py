@@ -8,14 +8,18 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.interface import Plant
+from plant.interface import JointPlant, Plant
+from qpmpc.controller import Step
 from qpmpc.force_control import ForceController
 from scenarios.log import Log
+from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called now and then with cycles done and cycles in all."""
+Watch = Callable[[Step], None]
+"""Shown the step of every cycle, while the controller's problem still holds its vectors."""
 Stop = Callable[[], bool]
 """Asked once per cycle whether to stop before the end."""
 
@@ -25,13 +29,14 @@ _AXIS = {"x": 0, "y": 1, "z": 2}
 
 
 def control_loop(
-    plant: Plant,
+    plant: Plant | JointPlant,
     controller: ForceController,
     setpoint: Setpoint,
     log: Log,
     cycles: int,
     *,
-    limits: tuple[float, float],
+    schedule: Schedule,
+    watch: Watch | None = None,
     progress: Progress,
     stop: Stop,
 ) -> bool:
@@ -42,19 +47,26 @@ def control_loop(
         controller: sees measurements only.
         setpoint, log: see there.
         cycles: how many at most.
-        limits: command bound; a command on it counts as saturated [m/s^2].
+        schedule: of the bounds; a command on its bound counts as saturated.
+        watch: shown every step, outside the clock.
         progress, stop: see `Progress`, `Stop`.
     """
     every = controller.axes == tuple(_AXIS)
     index = slice(None) if every else np.array([_AXIS[axis] for axis in controller.axes])
     command = np.zeros(3)
-    low, high = limits
+    low, high = (side.tolist() for side in schedule.first_command)
+    joints = plant if controller.bounds_joints and isinstance(plant, JointPlant) else None
     with quiet_memory():
         for k in range(cycles):
             if stop():
                 return False
             measurement = plant.measure()
             begin = perf_counter()
+            if schedule.due[k]:
+                for name in schedule.moving:
+                    controller.move(name, *schedule.preview(name, k))
+            if joints is not None:
+                controller.view(joints.joint_space(measurement.force, command))
             step = controller.step(
                 measurement.force[index], measurement.velocity[index], setpoint.preview(k)
             )
@@ -65,7 +77,10 @@ def control_loop(
             controller.prepare()
             cycle_time = decided - begin + perf_counter() - applied
             u = step.command.tolist()
-            saturated = min(u) <= low or max(u) >= high
+            saturated = any(
+                value <= least or value >= most
+                for value, least, most in zip(u, low, high, strict=True)
+            )
             log.record(
                 measurement,
                 plant.truth(),
@@ -74,6 +89,8 @@ def control_loop(
                 saturated=saturated,
                 cycle_time=cycle_time,
             )
+            if watch is not None:
+                watch(step)
             if k % _EVERY == 0:
                 progress(k, cycles)
     progress(cycles, cycles)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.experiment import Experiment
+from scenarios.schedule import BoundName
 
 Array = NDArray[np.float64]
 Summary = dict[str, Any]
@@ -27,7 +28,12 @@ PAPER: Summary = {
 }
 """Figures printed in the paper: N, and % of the uncompensated force (reading 12)."""
 
-_PACKAGES = ("pulsempc", "numpy", "scipy", "mujoco", "pin", "osqp", "daqp")
+_PACKAGES = (
+    "pulsempc", "numpy", "scipy", "mujoco", "pin",
+    "casadi", "clarabel", "daqp", "osqp", "piqp", "qpsolvers",
+)  # fmt: skip
+_NOISE = 1e-6
+"""Share of a bound by which rounding may pass it: no violation."""
 
 
 def summarise(experiment: Experiment) -> Summary:
@@ -60,6 +66,7 @@ def summarise(experiment: Experiment) -> Summary:
         "axes": axes,
         "paper": PAPER,
         "timing": {
+            "build_us": _percentiles(log.build_time[:end]),
             "solve_us": _percentiles(log.solve_time[:end]),
             "cycle_us": _percentiles(log.cycle_time[:end]),
             "misses": int((log.cycle_time[:end] > period).sum()),
@@ -80,7 +87,9 @@ def summarise(experiment: Experiment) -> Summary:
             axis: _rms(np.diff(log.command[:end, j], prepend=0.0))
             for j, axis in enumerate(log.axes)
         },
+        "violations": violations(experiment),
         "status": log.status_counts(),
+        "source": log.source_counts(),
         "versions": versions(),
     }
 
@@ -94,6 +103,35 @@ def statistics(error: Array) -> dict[str, float | None]:
         "max": float(np.abs(error).max()),
         "peak_to_peak": float(np.ptp(error)),
     }
+
+
+def violations(experiment: Experiment) -> Summary:
+    """How often and how far force, velocity and command were really beyond their bounds.
+
+    By the true force, on the axes under control, against the bounds themselves, not those that the
+    controller tightens by its margins: cycles in which any axis is beyond, the worst of them in the
+    unit of the bound, and the excess summed over axes and time.
+    """
+    log, end, period = experiment.log, experiment.log.cycles, experiment.scenario.cell.period
+    index = ["xyz".index(axis) for axis in log.axes]
+    found: dict[BoundName, Array] = {
+        "force": log.force[:end, index],
+        "velocity": log.tool_velocity[:end, index],
+        "command": log.command[:end],
+    }
+    result: Summary = {}
+    for name, values in found.items():
+        lower, upper = experiment.schedule.over(name, end)
+        above, below = values - upper, lower - values
+        above[above <= _NOISE * np.abs(upper)] = 0.0
+        below[below <= _NOISE * np.abs(lower)] = 0.0
+        excess = np.maximum(above, below)
+        result[name] = {
+            "count": int((excess > 0).any(axis=1).sum()),
+            "worst": float(excess.max(initial=0.0)),
+            "integral": float(excess.sum() * period),
+        }
+    return result
 
 
 def versions() -> dict[str, str]:

@@ -1,0 +1,97 @@
+"""What types and ranges cannot say about a scenario: whether its values fit one another."""
+
+from dataclasses import is_dataclass
+from typing import get_args
+
+from qpmpc.config import INFINITE, Band, Interval, SoftBoundName
+from scenarios.config import AxesChange, Scenario
+from scenarios.errors import ScenarioKeyError
+
+_AXES = ("x", "y", "z")
+
+
+def check_consistent(scenario: Scenario, source: str) -> None:
+    """Check that the values of a scenario fit one another; ``source`` is what errors name.
+
+    Raises:
+        ScenarioKeyError: they do not.
+    """
+    _check_bounds(scenario, source)
+    moves, horizon = scenario.controller.control_horizon, scenario.controller.horizon
+    if moves is not None and moves > horizon:
+        raise ScenarioKeyError(
+            source, "controller.control_horizon", f"{moves} exceeds the horizon of {horizon}"
+        )
+    if len(set(scenario.axes)) != len(scenario.axes):
+        raise ScenarioKeyError(source, "axes", f"names an axis twice: {list(scenario.axes)}")
+    for axis in scenario.axes:
+        low, high = band(scenario.controller.bounds.force, axis)
+        wished = [("setpoint", getattr(scenario.setpoint, axis))]
+        if not scenario.bounds_steps:
+            for i, step in enumerate(scenario.setpoint.steps):
+                wished.append((f"setpoint.steps.{i}", getattr(step, axis)))
+        for place, value in wished:
+            if value is not None and not low <= value <= high:
+                raise ScenarioKeyError(
+                    source,
+                    f"{place}.{axis}",
+                    f"{value:g} N lies outside controller.bounds.force.{axis} = "
+                    f"[{low:g}, {high:g}] N",
+                )
+    for place, timed in (
+        ("setpoint.steps", scenario.setpoint.steps),
+        ("bounds_steps", scenario.bounds_steps),
+    ):
+        times = [step.time for step in timed]
+        if times != sorted(times):
+            raise ScenarioKeyError(source, place, "must be in the order of their times")
+    contact = scenario.cell.contact
+    if contact.gap > 0 and not contact.unilateral:
+        raise ScenarioKeyError(source, "cell.contact.gap", "needs cell.contact.unilateral = true")
+
+
+def band(value: Band | AxesChange, axis: str) -> Interval:
+    """Return the interval of one axis."""
+    found: Interval = getattr(value, axis) if is_dataclass(value) else value
+    return found
+
+
+def _check_bounds(scenario: Scenario, source: str) -> None:
+    """Check what the types cannot: that lower does not exceed upper, and rest is allowed."""
+    bounds = scenario.controller.bounds
+    for name in ("command", "rate", "velocity", "force"):
+        for axis in _AXES:
+            _check_interval(
+                source, f"controller.bounds.{name}", name, band(getattr(bounds, name), axis),
+                getattr(bounds, f"{name}_margin", 0.0),
+            )  # fmt: skip
+    for i, step in enumerate(scenario.bounds_steps):
+        for name in ("velocity", "force"):
+            change = getattr(step, name)
+            for axis in _AXES if change is not None else ():
+                interval = band(change, axis)
+                if interval is not None:
+                    _check_interval(
+                        source, f"bounds_steps.{i}.{name}", name, interval,
+                        getattr(bounds, f"{name}_margin"),
+                    )  # fmt: skip
+    cone, order = bounds.tangential, bounds.order
+    if cone.limit < INFINITE and scenario.axes != _AXES:
+        raise ScenarioKeyError(
+            source, "controller.bounds.tangential", "needs force control on x, y and z"
+        )
+    if sorted(order) != sorted(get_args(SoftBoundName)):
+        names = ", ".join(get_args(SoftBoundName))
+        raise ScenarioKeyError(
+            source, "controller.bounds.order", f"must name each of {names} once, got {list(order)}"
+        )
+
+
+def _check_interval(source: str, place: str, name: str, interval: Interval, margin: float) -> None:
+    low, high = interval
+    if low > high:
+        raise ScenarioKeyError(source, place, f"lower {low:g} exceeds upper {high:g}")
+    if name != "force" and not low <= 0 <= high:
+        raise ScenarioKeyError(source, place, f"must contain 0, got [{low:g}, {high:g}]")
+    if low + margin > high - margin:
+        raise ScenarioKeyError(source, place, f"a margin of {margin:g} leaves no room in it")
