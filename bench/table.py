@@ -1,8 +1,10 @@
 """Tables for the terminal."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
 from qpmpc.backends import BackendInfo
@@ -52,10 +54,91 @@ def timing_lines(summary: Summary) -> list[str]:
     )
     lines.append(
         f"saturated cycles: torque {_number(saturation['torque'], '.2%')}, "
-        f"command {_number(saturation['command'], '.2%')}; status: "
-        + ", ".join(f"{name} {count}" for name, count in summary["status"].items())
+        f"command {_number(saturation['command'], '.2%')}; status: " + _counts(summary["status"])
     )
+    fallbacks = {name: n for name, n in summary["source"].items() if name != "solution"}
+    if any(fallbacks.values()):
+        lines.append(f"cycles without a usable answer, command from: {_counts(fallbacks)}")
+    beyond = {name: v for name, v in summary["violations"].items() if v["count"]}
+    if beyond:
+        units = {"force": "N", "velocity": "m/s", "command": "m/s^2"}
+        lines.append(
+            "beyond the bounds: "
+            + "; ".join(
+                f"{name} in {v['count']} cycles, at worst by {v['worst']:.3g} {units[name]}"
+                for name, v in beyond.items()
+            )
+        )
     return lines
+
+
+def comparison_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
+    """What each backend made of the same run: force, bounds, solver."""
+    rows = [row for row in rows if "axes" in row]
+    axes = list(rows[0]["axes"]) if rows else []
+    force = _table(
+        "Contact force error [N]", *(f"{what}{axis}" for what in ("RMS ", "max ") for axis in axes)
+    )
+    bounds = _table(
+        "Beyond the bounds: at worst, and in how many cycles",
+        "force [N]", "cycles", "velocity [m/s]", "cycles", "command [m/s^2]", "cycles",
+    )  # fmt: skip
+    solver = _table(
+        "Solver: time [us], and largest error of the command [m/s^2]",
+        "p50", "p99", "p99.9", "max", "build p50", "error",
+    )  # fmt: skip
+    for row in rows:
+        force.add_row(
+            row["backend"],
+            *(_number(row["axes"][axis]["rms"], ".3f") for axis in axes),
+            *(_number(row["axes"][axis]["max"], ".2f") for axis in axes),
+        )
+        found = row["violations"]
+        bounds.add_row(
+            row["backend"],
+            *(
+                cell
+                for name, form in (("force", ".3f"), ("velocity", ".4f"), ("command", ".2f"))
+                for cell in (_number(found[name]["worst"], form), str(found[name]["count"]))
+            ),
+        )
+        built = row["build_us"]["p50"]
+        solver.add_row(
+            row["backend"],
+            *(_number(row["solve_us"][key], ".0f") for key in ("p50", "p99", "p999", "max")),
+            _number(built, ".0f") if built else "",
+            _number(row["command_error"], ".1e"),
+        )
+    return [force, bounds, solver]
+
+
+def comparison_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """How the solves of each backend ended, and what stood in where they gave nothing."""
+    lines = []
+    for row in rows:
+        if "status" not in row:
+            lines.append(f"{row['backend']}: refused the problem")
+            continue
+        line = f"{row['backend']}: {_counts(row['status'])}"
+        fallbacks = {name: n for name, n in row["source"].items() if name != "solution"}
+        if any(fallbacks.values()):
+            line += f"; command from {_counts(fallbacks)}"
+        if row["without_reference"]:
+            line += f"; no reference in {row['without_reference']} cycles"
+        lines.append(line)
+    return lines
+
+
+def _table(title: str, *headings: str) -> Table:
+    title = escape(title)  # units in brackets are no markup
+    table = Table("backend", title=title, box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
+    for heading in headings:
+        table.add_column(escape(heading), justify="right", no_wrap=True)
+    return table
+
+
+def _counts(counts: dict[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items() if count)
 
 
 def scenario_table(scenarios: Iterable[Scenario]) -> Table:
@@ -70,9 +153,19 @@ def scenario_table(scenarios: Iterable[Scenario]) -> Table:
 
 def backend_table(backends: Iterable[BackendInfo]) -> Table:
     """The backends, installed or not."""
-    table = Table("name", "package", "installed", "what it is", title="Backends", box=SIMPLE_HEAD)
+    table = Table(
+        "name", "installed", "warm\nstart", "new rows\ncheap", "limits", "what it is",
+        title="Backends", box=SIMPLE_HEAD,
+    )  # fmt: skip
     for b in backends:
-        table.add_row(b.name, b.package, b.version or f"no: {b.install}", b.summary)
+        table.add_row(
+            b.name,
+            f"{b.package} {b.version}" if b.version else f"no: {b.install}",
+            "yes" if b.warm_starts else "no",
+            "yes" if b.replaces_rows else "no",
+            ", ".join(sorted(b.limits)) or "none",
+            b.summary,
+        )
     return table
 
 

@@ -104,6 +104,10 @@ class Solver:
         self._check.replace_rows(A)
         self._parts.replace_rows(self._scaling.rows(A))
 
+    def forget(self) -> None:
+        """Let the next solve start from nothing, where the backend starts from the last one."""
+        self._parts.forget()
+
     def solve(self, q: Array, l: Array, u: Array) -> Solution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)`` in the QP's own units.
 

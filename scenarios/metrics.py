@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.experiment import Experiment
-from scenarios.schedule import BoundName
+from scenarios.log import Log
+from scenarios.schedule import BoundName, Schedule
 
 Array = NDArray[np.float64]
 Summary = dict[str, Any]
@@ -87,7 +88,7 @@ def summarise(experiment: Experiment) -> Summary:
             axis: _rms(np.diff(log.command[:end, j], prepend=0.0))
             for j, axis in enumerate(log.axes)
         },
-        "violations": violations(experiment),
+        "violations": violations(log, experiment.schedule, period),
         "status": log.status_counts(),
         "source": log.source_counts(),
         "versions": versions(),
@@ -105,14 +106,14 @@ def statistics(error: Array) -> dict[str, float | None]:
     }
 
 
-def violations(experiment: Experiment) -> Summary:
+def violations(log: Log, schedule: Schedule, period: float) -> Summary:
     """How often and how far force, velocity and command were really beyond their bounds.
 
     By the true force, on the axes under control, against the bounds themselves, not those that the
     controller tightens by its margins: cycles in which any axis is beyond, the worst of them in the
     unit of the bound, and the excess summed over axes and time.
     """
-    log, end, period = experiment.log, experiment.log.cycles, experiment.scenario.cell.period
+    end = log.cycles
     index = ["xyz".index(axis) for axis in log.axes]
     found: dict[BoundName, Array] = {
         "force": log.force[:end, index],
@@ -121,7 +122,7 @@ def violations(experiment: Experiment) -> Summary:
     }
     result: Summary = {}
     for name, values in found.items():
-        lower, upper = experiment.schedule.over(name, end)
+        lower, upper = schedule.over(name, end)
         above, below = values - upper, lower - values
         above[above <= _NOISE * np.abs(upper)] = 0.0
         below[below <= _NOISE * np.abs(lower)] = 0.0
