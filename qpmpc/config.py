@@ -124,12 +124,17 @@ class BoundsConfig:
 
 @dataclass(frozen=True)
 class SolverConfig:
-    """When the solver has to stop, in each cycle; an error where it has no such limit."""
+    """How the QP of each cycle is solved."""
 
     max_iterations: Annotated[int, Ge(1)] | None = None
-    """Iterations; the solver's own limit if not given."""
+    """Iterations after which the solver stops, an error if it has no such limit; its own limit if
+    not given."""
     time_limit: Annotated[float, Gt(0)] | None = None
-    """Time [s]; none if not given."""
+    """Time after which the solver stops, an error if it has no such limit [s]; none if not
+    given."""
+    smallest_part: Annotated[int, Ge(1)] | None = None
+    """Variables that make a component of the QP worth a call of its own, smaller ones are packed
+    together; the backend's own figure if not given."""
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,8 @@ class Controller:
         reference: Reference,
         backend: str | type[Backend] = "daqp",
         limits: Limits = NO_LIMITS,
+        *,
+        smallest_part: int | None = None,
     ) -> None:
         """Join the parts; the backend is set up and primed here.
 
@@ -98,13 +100,19 @@ class Controller:
             reference: for instance an `ExponentialReference`.
             backend: a registered name or a backend class.
             limits: when the backend has to stop, in each cycle.
+            smallest_part: see `Solver`.
 
         Raises:
             UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`.
         """
         self.problem, self.observer, self.reference = problem, observer, reference
         self.solver = Solver(
-            problem.qp, backend, problem.rows.values(), limits=limits, pattern=problem.pattern
+            problem.qp,
+            backend,
+            problem.rows.values(),
+            limits=limits,
+            pattern=problem.pattern,
+            smallest_part=smallest_part,
         )
         self._fallback = Fallback(problem)
         n_u, n_y = problem.model.n_inputs, problem.model.n_outputs

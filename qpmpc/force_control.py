@@ -101,7 +101,9 @@ class ForceController:
         )
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
         limits = Limits(config.solver.max_iterations, config.solver.time_limit)
-        self.general = Controller(problem, observer, reference, kind, limits)
+        self.general = Controller(
+            problem, observer, reference, kind, limits, smallest_part=config.solver.smallest_part
+        )
         self._measurement = np.zeros((count, axis.measured.shape[0]))
 
     def reset(self, force: Array) -> None:
@@ -224,6 +226,4 @@ def _tightened(name: str, lower: Array, upper: Array, margin: float) -> tuple[Ar
 
 
 def _torque_map(joints: JointSpace) -> Array:
-    return np.hstack(
-        [joints.command_gain, joints.velocity_gain, joints.force_gain]
-    )
+    return np.hstack([joints.command_gain, joints.velocity_gain, joints.force_gain])

@@ -68,6 +68,7 @@ class Solver:
         *,
         limits: Limits = NO_LIMITS,
         pattern: Pattern | None = None,
+        smallest_part: int | None = None,
     ) -> None:
         """Scale ``qp``, split it, and set the backend up on its constant part.
 
@@ -78,6 +79,8 @@ class Solver:
             limits: when the backend has to stop.
             pattern: where rows may be other than zero after `replace_rows`, ``(m, n)``; where
                 they are now, if not given.
+            smallest_part: variables that make a component worth a call of its own; the backend's
+                own figure if not given.
 
         Raises:
             UnknownNameError, BackendUnavailableError, BackendSetupError.
@@ -89,7 +92,7 @@ class Solver:
         self._again = kind.warm_starts
         self._patience = limits.time or np.inf
         self._scaling = Scaling(qp, groups)
-        self._parts = Parts(kind, self._scaling.qp, limits, pattern)
+        self._parts = Parts(kind, self._scaling.qp, limits, pattern=pattern, smallest=smallest_part)
         self._check = Check(qp, self._scaling, TOLERANCE)
         self._x, self._y = np.zeros(qp.n), np.zeros(qp.m)
         self._to_y = self._scaling.E / self._scaling.c

@@ -20,8 +20,6 @@ from qpmpc.status import Status
 
 Pattern = NDArray[np.bool_]
 
-_LEAST = 8
-"""Variables below which a component is packed with others: a solver call costs as much there."""
 _EMPTY = 1e-9
 """How far zero may lie outside the bounds of a hard row that touches no variable."""
 _SEVERITY = {
@@ -39,12 +37,14 @@ _SEVERITY = {
 }
 
 
-def components(P: Pattern, A: Pattern) -> list[tuple[Indices, Indices]]:
+def components(P: Pattern, A: Pattern, smallest: int) -> list[tuple[Indices, Indices]]:
     """Return variables and rows of each component, packed, in the order of their variables.
 
     Args:
         P: where the Hessian may be other than zero, ``(n, n)``.
         A: the same of the rows, ``(m, n)``. Rows that touch no variable are in no component.
+        smallest: variables that make a component worth a solver call; it is packed with others
+            below.
     """
     rows = csr_matrix(A.astype(np.int64))
     graph = csr_matrix(P.astype(np.int64)) + rows.T @ rows
@@ -52,10 +52,10 @@ def components(P: Pattern, A: Pattern) -> list[tuple[Indices, Indices]]:
     sizes = np.bincount(label, minlength=count)
     pack, room = np.zeros(count, dtype=np.intp), 0
     for i in range(count):  # labels are in the order of the first variable of each
-        if i and (room <= 0 or sizes[i] > room):
+        if i and room <= 0:
             pack[i:] += 1
             room = 0
-        room = (room or _LEAST) - sizes[i]
+        room = (room or smallest) - sizes[i]
     label = pack[label]
     touched = A.any(axis=1)
     of_row = np.where(touched, label[A.argmax(axis=1)] if A.size else -1, -1)
@@ -95,7 +95,13 @@ class Parts:
     """The solvers of a QP's components, which answer together."""
 
     def __init__(
-        self, kind: type[Backend], qp: QuadraticProgram, limits: Limits, pattern: Pattern | None
+        self,
+        kind: type[Backend],
+        qp: QuadraticProgram,
+        limits: Limits,
+        *,
+        pattern: Pattern | None,
+        smallest: int | None,
     ) -> None:
         """Split ``qp`` and set one ``kind`` up for each component.
 
@@ -103,12 +109,13 @@ class Parts:
             kind, qp: the backend and the scaled program.
             limits: of the whole; time is shared out.
             pattern: where ``A`` may ever be other than zero, ``(m, n)``; as it is, if not given.
+            smallest: part worth a call, see `components`; the backend's own figure if not given.
 
         Raises:
             BackendSetupError: the solver refuses a component.
         """
         touched = qp.A != 0 if pattern is None else pattern
-        found = components(qp.P != 0, touched)
+        found = components(qp.P != 0, touched, smallest or kind.smallest_part)
         share = Limits(limits.iterations, limits.time and limits.time / len(found))
         self._parts = [_Part(kind, qp, share, *indices) for indices in found]
         self._order = np.concatenate([part.variables for part in self._parts])

@@ -61,6 +61,9 @@ class Backend(Protocol):
     """Whether `replace_rows` takes a new ``A``; where it does not, a new instance is made."""
     limits: ClassVar[frozenset[LimitKind]] = frozenset()
     """Which of the `Limits` the solver has; others are refused before an instance is made."""
+    smallest_part: ClassVar[int] = 8
+    """Variables below which a component of a QP is not worth a call of its own: packed with others
+    up to this size, the call costs less than two."""
     construction: ClassVar[Construction] = NUMPY
     """Who builds the matrices of the force controller's problem for this backend."""
 
