@@ -46,6 +46,10 @@ class Check:
         self._scaled_linear = np.where(self._hard, 0.0, scaling.qp.linear)
         self._scaled_quadratic2 = 2.0 * scaling.qp.quadratic
         self._all_hard = bool(self._hard.all())
+        self._curved = bool((~self._hard & (qp.quadratic > 0)).any())
+        self._firm = np.flatnonzero(self._hard)
+        self._firm_scale = scaling.E[self._firm]
+        self._beyond = np.zeros(self._firm.size)
         self.slack = np.zeros(qp.m)
         """Violation of each row by the last answer, in its unit, ``(m,)``."""
         self._gradient, self._work = np.zeros(qp.n), np.zeros(qp.n)
@@ -71,9 +75,11 @@ class Check:
         scaling = self._scaling
         violated = np.count_nonzero(s) > 0  # a third of the time of any()
         if violated:
-            primal = float(np.max(s, where=self._hard, initial=0.0))
+            beyond = np.take(s, self._firm, out=self._beyond)
+            primal = float(beyond.max(initial=0.0))
+            beyond *= self._firm_scale
+            scaled_primal = float(beyond.max(initial=0.0))
             np.multiply(scaling.E, s, out=self._s)
-            scaled_primal = float(np.max(self._s, where=self._hard, initial=0.0))
         else:
             self._s.fill(0.0)
         if violated or np.count_nonzero(y):
@@ -100,7 +106,10 @@ class Check:
         if self._all_hard:
             return gap
         s = self.slack
-        gap += float(np.dot(self._linear, s) + np.dot(self._quadratic, s * s))
+        gap += float(np.dot(self._linear, s))
+        if not self._curved:
+            return gap
+        gap += float(np.dot(self._quadratic, s * s))
         excess = np.maximum(np.abs(price) - self._linear[active], 0.0)
         give = self._quadratic[active]
         curved = ~self._hard[active] & (give > 0)
