@@ -9,7 +9,7 @@ from plant.config import (
     ToolConfig,
 )
 from plant.errors import PlantError
-from plant.interface import Measurement, Plant, Truth
+from plant.interface import JointPlant, JointSpace, Measurement, Plant, Truth
 from plant.playback import UnreachableMotionError
 
 __all__ = [
@@ -17,6 +17,8 @@ __all__ = [
     "CellConfig",
     "ContactConfig",
     "ImperfectionConfig",
+    "JointPlant",
+    "JointSpace",
     "Measurement",
     "Plant",
     "PlantError",

@@ -10,10 +10,11 @@ import mujoco
 import numpy as np
 
 from plant.arm_model import build_arm_model, home_configuration
-from plant.config import CellConfig
+from plant.config import CellConfig, ContactConfig
+from plant.contact import GRIP, Contact
 from plant.errors import PlantError, UnstableSimulationError
 from plant.inner_loop import InnerLoop
-from plant.interface import Measurement, TissueMotion, Truth
+from plant.interface import JointSpace, Measurement, TissueMotion, Truth
 from plant.mjcf import SERVO_STIFFNESS, cell_mjcf
 from plant.playback import Programme, programme
 from plant.sensors import SENSORS, ForceSensor
@@ -26,11 +27,12 @@ _AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 
 class Cell:
-    """A `plant.interface.Plant`: the tool presses on the heart, the heart moves.
+    """A `plant.interface.JointPlant`: the tool presses on the heart, the heart moves.
 
-    Made in equilibrium: the tool at rest with the given force at the first sample of the motion.
-    One `measure` and one `apply` make a cycle. With the brakes closed the tool stays where it is,
-    whatever is commanded: the paper's run without compensation.
+    Made in equilibrium: the tool at rest with the given force at the first sample of the motion,
+    or with a gap between it and the tissue. One `measure` and one `apply` make a cycle. With the
+    brakes closed the tool stays where it is, whatever is commanded: the paper's run without
+    compensation.
     """
 
     def __init__(
@@ -48,14 +50,20 @@ class Cell:
         Args:
             config: see there.
             motion: of the tissue from home at the control instants.
-            force: contact force to start with, ``(3,)`` [N].
+            force: contact force to start with, ``(3,)`` [N]; with a gap, it counts only after
+                `move_tool`.
             seed: of the sensor noise.
-            axes: which axes follow the command; the tool holds its position on the others.
+            axes: which axes follow the command, in the order of the columns of `joint_space`;
+                the tool holds its position on the others.
             heart: the programme of `heart_programme` for this motion, where it is at hand.
 
         Raises:
             UnreachableMotionError: Robot_Heart cannot play the motion.
+            PlantError: the contact has a gap but is bilateral, or is unilateral and cannot carry
+                the force.
         """
+        self._load = np.asarray(force, dtype=np.float64)
+        _check_start(config.contact, self._load)
         self.period = config.period
         self.cycles = motion.position.shape[0]
         """How many cycles the motion lasts."""
@@ -82,22 +90,23 @@ class Cell:
             coulomb=share * VIPER_S650.coulomb_friction.si,
             viscous=share * VIPER_S650.viscous_friction.si,
             lead=(flaws.delay + 0.5) * config.period + flaws.torque_lag,
-            force_axes=np.isin(_AXES, axes),
+            force_axes=np.array([_AXES.index(axis) for axis in axes]),
         )
         self._sensor = ForceSensor(SENSORS[config.sensor.model], np.random.SeedSequence([seed, 1]))
         self._limit = VIPER_S650.torque_limit.si
-        self._spring = config.contact
+        self._contact = Contact(self.model, self.data, config.contact)
         # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
         data = self.data
         self._q, self._qdot = data.qpos[6:12], data.qvel[6:12]
         self._heart_ctrl, self._tool_ctrl = data.ctrl[:6], data.ctrl[6:12]
-        self._length, self._speed = data.actuator_length[12:], data.actuator_velocity[12:]
         self._surface = data.site("heart_surface").xpos
-        self._surface_rotation = data.site("heart_surface").xmat.reshape(3, 3)
         self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
-        self._load, self._delay = np.asarray(force, dtype=np.float64), flaws.delay
-        self._place(motion.position[0] + np.asarray(force) / config.contact.stiffness)
+        self._delay = flaws.delay
+        if config.contact.gap > 0:
+            self._place(motion.position[0] + [0.0, 0.0, config.contact.gap], np.zeros(3))
+        else:
+            self._place(motion.position[0] + self._load / config.contact.stiffness, self._load)
 
     def close_brakes(self) -> None:
         """Lock the tool's joints where they are."""
@@ -105,8 +114,12 @@ class Cell:
         self.data.eq_active[:6] = True
 
     def move_tool(self, displacement: FloatArray) -> None:
-        """Put the tool elsewhere, at rest: its tip ``displacement (3,)`` [m] from home."""
-        self._place(np.asarray(displacement))
+        """Put the tool elsewhere, at rest: its tip ``displacement (3,)`` [m] from home.
+
+        The run starts anew. Robot_Heart leans against the force to start with, whatever the force
+        in the new place. A unilateral contact touches as if it had done so at no lateral force.
+        """
+        self._place(np.asarray(displacement), self._load)
 
     def measure(self) -> Measurement:
         """Read force sensor and encoders; the physics has been brought up to this instant.
@@ -116,13 +129,12 @@ class Cell:
         """
         inner = self._inner
         inner.observe(self._q, self._qdot)
-        along = self._spring.stiffness * self._length
-        along += self._spring.damping * self._speed
-        np.dot(self._surface_rotation, along, out=self._force)
+        self._contact.force(self._force)
         if not np.dot(self._force, self._force) < _ABSURD**2:  # NaN is not, either
             raise UnstableSimulationError(self._cycle * self.period)
         self._read = self._sensor.read(self._force)
         self._tissue[:] = self._surface
+        self._touching = self._contact.touching
         return Measurement(
             self._cycle * self.period,
             self._read.copy(),
@@ -147,19 +159,49 @@ class Cell:
         self._line.append(torque)
         np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
         self._tool_ctrl[:] = self._line.popleft()
-        mujoco.mj_step2(self.model, self.data)
-        if self._substeps > 1:
-            mujoco.mj_step(self.model, self.data, nstep=self._substeps - 1)
-        # Positions and velocities of the new instant; a reading after mj_step is a substep old.
-        mujoco.mj_step1(self.model, self.data)
+        self._advance()
         self._cycle += 1
 
     def truth(self) -> Truth:
         """Return what is really there; torque and saturation are those of the last `apply`."""
-        return Truth(self._force.copy(), self._tissue.copy(), self._torque, self._saturated)
+        return Truth(
+            self._force.copy(),
+            self._tissue.copy(),
+            self._torque,
+            self._saturated,
+            self._touching,
+            self._inner.qdot.copy(),
+        )
 
-    def _place(self, displacement: FloatArray) -> None:
-        """Set both arms to the start of the motion and the tool at rest at ``displacement``."""
+    def joint_space(self, force: FloatArray, previous: FloatArray) -> JointSpace:
+        """Return what tool velocity, force and command mean for the joints, at the last `measure`.
+
+        Args:
+            force: contact force as it was measured, ``(3,)`` [N].
+            previous: command that was applied last, ``(3,)`` [m/s^2].
+        """
+        return self._inner.joint_space(force, previous)
+
+    def _advance(self) -> None:
+        """Bring the physics to the next control instant."""
+        model, data, contact = self.model, self.data, self._contact
+        if contact.unilateral:
+            for _ in range(self._substeps):
+                mujoco.mj_step2(model, data)
+                mujoco.mj_step1(model, data)
+                contact.follow()
+            return
+        mujoco.mj_step2(model, data)
+        if self._substeps > 1:
+            mujoco.mj_step(model, data, nstep=self._substeps - 1)
+        # Positions and velocities of the new instant; a reading after mj_step is a substep old.
+        mujoco.mj_step1(model, data)
+
+    def _place(self, displacement: FloatArray, load: FloatArray) -> None:
+        """Set both arms to the start of the motion and the tool at rest at ``displacement``.
+
+        Robot_Heart leans against ``load (3,)`` [N].
+        """
         model, data = self.model, self.data
         self._cycle = 0
         mujoco.mj_resetData(model, data)
@@ -178,9 +220,10 @@ class Cell:
         J = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, J, None, model.site("heart_surface").id)
         # The heart's servos lean against the force to start with, else they give way at once.
-        self._lean = -(self._load @ J[:, :6]) / SERVO_STIFFNESS
+        self._lean = -(load @ J[:, :6]) / SERVO_STIFFNESS
         self._heart_ctrl[:] = self._heart.ctrl[0] + self._lean
         mujoco.mj_step1(model, data)
+        self._contact.begin()
         self.measure()
         self._inner.hold()
         # Torques that really hold the tool; the inner loop's own model may be wrong.
@@ -201,6 +244,19 @@ def heart_programme(config: CellConfig, motion: TissueMotion) -> Programme:
         period=config.period,
         friction=config.imperfections.friction,
     )
+
+
+def _check_start(contact: ContactConfig, force: FloatArray) -> None:
+    if not contact.unilateral:
+        if contact.gap > 0:
+            raise PlantError("contact.gap: only a unilateral contact can start with a gap")
+        return
+    x, y, z = force.tolist()
+    if contact.gap == 0 and (z > 0 or math.hypot(x, y) > -GRIP * z):
+        raise PlantError(
+            f"a unilateral contact cannot start with a force of {x:g}, {y:g}, {z:g} N: it only "
+            f"pushes, and carries sideways at most {GRIP:g} times what it carries downwards"
+        )
 
 
 @dataclass(frozen=True, eq=False)

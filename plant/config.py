@@ -16,6 +16,12 @@ class ContactConfig:
     """True stiffness of the tissue, the same on every axis [N/m]."""
     damping: Annotated[float, Ge(0)] = 0.0
     """Damping in parallel to the spring [N s/m]."""
+    unilateral: bool = False
+    """Whether the tissue can only push: the tool lifts off, and the lateral spring holds only while
+    they touch, from where they touched, with at most as much force as the tool presses with."""
+    gap: Annotated[float, Ge(0), Le(0.1)] = 0.0
+    """Distance between tool and tissue at the start, for a unilateral contact; 0: start in contact
+    with the given force [m]."""
 
 
 @dataclass(frozen=True)

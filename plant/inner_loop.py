@@ -7,6 +7,7 @@ from scipy.linalg.lapack import dgesv
 
 from plant.arm_model import ArmModel
 from plant.config import ToolConfig
+from plant.interface import JointSpace
 from plant.viper import FloatArray
 
 
@@ -28,7 +29,7 @@ class InnerLoop:
         coulomb: FloatArray,
         viscous: FloatArray,
         lead: float,
-        force_axes: NDArray[np.bool_],
+        force_axes: NDArray[np.intp],
     ) -> None:
         """Prepare.
 
@@ -37,13 +38,15 @@ class InnerLoop:
             config: gains.
             coulomb, viscous: friction that is compensated, ``(6,)`` [N m], [N m s/rad].
             lead: from the encoders' reading to the middle of the time the torque acts [s].
-            force_axes: which axes follow the command, ``(3,)`` bool; the others hold position.
+            force_axes: which axes follow the command, 0 to 2 for x to z, in the order of the
+                columns of `joint_space`; the others hold position.
         """
         self._model, self._tip = arm.model, arm.tip
         self._data = arm.model.createData()
         self._coulomb, self._viscous, self._lead = coulomb, viscous, lead
         self._sign_gain = 1.0 / config.friction_velocity
-        free = np.asarray(force_axes, dtype=np.float64)
+        self._axes = np.asarray(force_axes)
+        free = np.isin(np.arange(3), self._axes).astype(np.float64)
         held = 1.0 - free
         stiffness = np.concatenate(
             [held * config.position_stiffness, [config.orientation_stiffness] * 3]
@@ -57,12 +60,21 @@ class InnerLoop:
         # From command, pose error and twist to the acceleration that is wanted of the tip.
         follow = np.vstack([np.diag(free), np.zeros((3, 3))])
         self._gains = np.hstack([follow, np.diag(stiffness), -np.diag(damping)])
+        self._velocity_damping = config.velocity_damping
+        self._columns = np.eye(6)[:, self._axes]
+        self._friction, self._led_friction = np.diag(viscous), np.diag(lead * viscous)
         self._inputs = np.zeros(15)
         self._command, self._error = self._inputs[:3], self._inputs[3:9]
         self.twist = self._inputs[9:]
         """Velocity and angular velocity of the tip, ``(6,)`` [m/s, rad/s]."""
         self._goal = np.zeros(6)
-        self._q, self._qdot, self._zero = np.zeros(6), np.zeros(6), np.zeros(6)
+        self._q, self._zero = np.zeros(6), np.zeros(6)
+        self.qdot = np.zeros(6)
+        """Joint speeds at the last `observe`, ``(6,)`` [rad/s]."""
+        self._speed_limit = arm.model.velocityLimit.copy()
+        self._torque_limit = arm.model.effortLimit.copy()
+        for limit in (self._speed_limit, self._torque_limit):
+            limit.setflags(write=False)
         self._held, self._place = np.eye(3), np.zeros(3)
         pose = self._data.oMf[self._tip]  # views into pinocchio's memory, up to date by themselves
         self._rotation, self._translation = pose.rotation, pose.translation
@@ -79,13 +91,13 @@ class InnerLoop:
     def observe(self, q: FloatArray, qdot: FloatArray) -> None:
         """Take in the encoders' joint angles and speeds, ``(6,)`` each [rad], [rad/s]."""
         model, data = self._model, self._data
-        self._q[:], self._qdot[:] = q, qdot
-        pin.forwardKinematics(model, data, self._q, self._qdot, self._zero)
+        self._q[:], self.qdot[:] = q, qdot
+        pin.forwardKinematics(model, data, self._q, self.qdot, self._zero)
         pin.computeJointJacobians(model, data)
         pin.updateFramePlacement(model, data, self._tip)
         self.J = pin.getFrameJacobian(model, data, self._tip, _WORLD_ALIGNED)
         self.position = self._translation.copy()
-        np.dot(self.J, self._qdot, out=self.twist)
+        np.dot(self.J, self.qdot, out=self.twist)
 
     def torque(self, command: FloatArray, force: FloatArray) -> FloatArray:
         """Return joint torques ``(6,)`` [N m], not saturated, for the last `observe`.
@@ -101,16 +113,50 @@ class InnerLoop:
         goal = np.dot(self._gains, self._inputs, out=self._goal)
         goal -= pin.getFrameClassicalAcceleration(model, data, self._tip, _WORLD_ALIGNED).vector
         acceleration = dgesv(self.J, goal)[2]
-        torque = pin.rnea(model, data, self._q, self._qdot, acceleration)
+        torque = pin.rnea(model, data, self._q, self.qdot, acceleration)
         torque += np.dot(force, self.J[:3])
         # Friction is compensated for the speed that the joint will have when the torque arrives:
         # with the speed measured now, each reversal is answered with the wrong sign for that time.
         acceleration *= self._lead
-        speed = np.add(acceleration, self._qdot, out=acceleration)
+        speed = np.add(acceleration, self.qdot, out=acceleration)
         torque += self._viscous * speed
         speed *= self._sign_gain
         torque += self._coulomb * np.tanh(speed, out=speed)
         return np.asarray(torque)
+
+    def joint_space(self, force: FloatArray, previous: FloatArray) -> JointSpace:
+        """Return linear maps from tip to joints, and limits, for the last `observe`.
+
+        The torques are those of `torque`. Compensated Coulomb friction counts as it is now, and the
+        change of Coriolis forces with the tip's speed is left out: both are constant offsets.
+
+        Args:
+            force: measured contact force y ``(3,)`` [N].
+            previous: the command about which the torque is linearised, ``(3,)`` [m/s^2].
+        """
+        axes = self._axes
+        velocity = self.twist[axes]
+        speed_gain = dgesv(self.J, self._columns)[2]
+        inertia = pin.crba(self._model, self._data, self._q)
+        inertia += self._led_friction
+        command_gain = np.dot(inertia, speed_gain)
+        velocity_gain = np.dot(self._friction, speed_gain)
+        velocity_gain -= self._velocity_damping * command_gain
+        force_gain = self.J[axes].T
+        torque = self.torque(previous, force)
+        torque -= np.dot(command_gain, previous[axes])
+        torque -= np.dot(velocity_gain, velocity)
+        torque -= np.dot(force_gain, force[axes])
+        return JointSpace(
+            speed_gain,
+            self.qdot - np.dot(speed_gain, velocity),
+            command_gain,
+            velocity_gain,
+            force_gain,
+            torque,
+            self._speed_limit,
+            self._torque_limit,
+        )
 
 
 _WORLD_ALIGNED = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED

@@ -3,8 +3,10 @@
 Any object with these members can take the place of `plant.cell.Cell` in the loop.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from plant.viper import FloatArray
 
@@ -35,6 +37,41 @@ class Truth:
     """Joint torques that the inner loop last asked for, after saturation, ``(6,)`` [N m]."""
     saturated: bool
     """Whether a torque was cut at its limit."""
+    touching: bool = True
+    """Whether tool and tissue touch."""
+    joint_velocity: FloatArray = field(default_factory=lambda: np.zeros(6))
+    """Speeds of the tool's joints, ``(6,)`` [rad/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpace:
+    """What tool velocity, contact force and command mean for the tool's joints, for one instant.
+
+        joint speeds   speed_gain v + speed_offset
+        joint torques  command_gain u + velocity_gain v + force_gain F + torque_offset
+
+    v [m/s], F [N] and u [m/s^2] have an entry for each force-controlled axis, in the order in which
+    the axes were given. The configuration is frozen; what the other axes and the orientation do
+    counts with its present value. Both maps are exact for the present v and F and the previous u.
+    Arrays are the record's own; those of the limits are read-only.
+    """
+
+    speed_gain: FloatArray
+    """``(6, n)`` [rad/m]."""
+    speed_offset: FloatArray
+    """``(6,)`` [rad/s]."""
+    command_gain: FloatArray
+    """``(6, n)`` [N m s^2/m]."""
+    velocity_gain: FloatArray
+    """``(6, n)`` [N m s/m]."""
+    force_gain: FloatArray
+    """``(6, n)`` [m]."""
+    torque_offset: FloatArray
+    """``(6,)`` [N m]."""
+    speed_limit: FloatArray
+    """Largest speed of each joint in either direction, ``(6,)`` [rad/s]."""
+    torque_limit: FloatArray
+    """Torque at which each joint saturates, in either direction, ``(6,)`` [N m]."""
 
 
 class TissueMotion(Protocol):
@@ -72,4 +109,18 @@ class Plant(Protocol):
 
     def truth(self) -> Truth:
         """Return what is really there, for the log."""
+        ...
+
+
+@runtime_checkable
+class JointPlant(Plant, Protocol):
+    """A plant that also says what its joints do: for a controller that bounds them."""
+
+    def joint_space(self, force: FloatArray, previous: FloatArray) -> JointSpace:
+        """Return the maps for the instant of the last `measure`.
+
+        Args:
+            force: contact force as it was measured, ``(3,)`` [N].
+            previous: command that was applied last, ``(3,)`` [m/s^2].
+        """
         ...

@@ -18,7 +18,7 @@ Contact. The force that the tool exerts on the tissue is ``y = K (x_tool - x_tis
 v_tissue)``, so pressing down gives a negative y on z. The tool feels ``-y``, and this is what the
 contact actuators carry: a positive force on z means that the tissue pushes the tool up. As an
 actuator between two sites the spring acts inside ``mj_step``, at the physics rate, equal and
-opposite on both arms.
+opposite on both arms. ``plant.contact`` makes it unilateral, by its coefficients.
 
 What MuJoCo does with ``refsite``: length and force of each contact actuator are along the axes of
 ``heart_surface``, which turn with the heart's flange. As K and D are the same on all axes, the

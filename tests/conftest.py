@@ -65,6 +65,7 @@ class Trace:
     tissue: Array
     torque: Array
     saturated: NDArray[np.bool_]
+    touching: NDArray[np.bool_]
 
     def equals(self, other: Trace) -> bool:
         """Bit for bit."""
@@ -108,8 +109,9 @@ def _run(
         truth = cell.truth()
         value = command(k) if callable(command) else command
         cell.apply(np.broadcast_to(np.asarray(value, dtype=np.float64), (3,)))
-        rows.append((truth.force, truth.tissue, cell.truth().torque, cell.truth().saturated))
-    force, tissue, torque, saturated = (np.array(v) for v in zip(*rows, strict=True))
+        asked = cell.truth()
+        rows.append((truth.force, truth.tissue, asked.torque, asked.saturated, truth.touching))
+    force, tissue, torque, saturated, touching = (np.array(v) for v in zip(*rows, strict=True))
     return Trace(
         measured,
         force,
@@ -119,6 +121,7 @@ def _run(
         tissue,
         torque,
         saturated,
+        touching,
     )
 
 

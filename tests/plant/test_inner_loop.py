@@ -22,7 +22,7 @@ def inner_loop(**changes) -> InnerLoop:
         "coulomb": np.zeros(6),
         "viscous": np.zeros(6),
         "lead": 0.5 * PERIOD,
-        "force_axes": np.ones(3, dtype=bool),
+        "force_axes": np.arange(3),
     }
     return InnerLoop(build_arm_model(VIPER_S650, TOOL), ToolConfig(), **settings | changes)
 
