@@ -84,7 +84,9 @@ class _Part:
         self.backend = kind(self.qp, limits)
 
     def replace_rows(self, A: Array) -> None:
-        mine = np.ascontiguousarray(A[np.ix_(self.rows, self.variables)])
+        mine = A
+        if A.shape != (self.qp.m, self.qp.n):
+            mine = np.ascontiguousarray(A[np.ix_(self.rows, self.variables)])
         if self.kind.replaces_rows:
             self.backend.replace_rows(mine)
         else:

@@ -15,14 +15,18 @@ from qpmpc.status import Status
 
 _SOFT = 8
 """DAQP's mark of a row that may give way."""
-_FLAT = 1e-10
-"""Least quadratic penalty, where DAQP wants one: far below any effect of the linear one."""
+_FLAT = 1e-11
+"""Least quadratic penalty beside the linear one, where DAQP wants some. `_correct` takes its effect
+out. With a tenth of it DAQP's warm start ends wrong in some of a thousand QPs whose soft rows give
+way; with this, in none of eleven thousand."""
 _FAR = 1e30
 """What DAQP takes for infinite: a warm row whose bound is truly infinite would turn to NaN."""
+_GAVE_WAY = 2
+"""DAQP's flag of an answer in which soft rows give way."""
 _ITERATIONS = 1000
 """Its own limit, where none is given."""
 _STATUS = {
-    2: Status.SOLVED,  # with soft rows giving way
+    _GAVE_WAY: Status.SOLVED,
     1: Status.SOLVED,
     -1: Status.INFEASIBLE,
     -2: Status.FAILED,  # cycling
@@ -69,15 +73,19 @@ class DaqpBackend(Backend):
         )  # fmt: skip
         if flag < 0:
             raise BackendSetupError(self.name, f"DAQP refused the problem (flag {flag})")
+        self._soft, self._linear = np.flatnonzero(soft), np.where(soft, qp.linear, 0.0)
+        curve = np.where(soft, np.maximum(qp.quadratic, _FLAT * self._linear), np.inf)
+        self._give, self._excess = 0.5 / curve, np.where(soft, 2.0 * (curve - qp.quadratic), 0.0)
+        self._A, self._rows = np.array(qp.A), np.zeros(qp.m)
+        self._corrects = bool(self._excess.any())
         if soft.any():
-            give = 0.5 / np.maximum(np.where(soft, qp.quadratic, np.inf), _FLAT)
-            linear = np.where(soft, qp.linear, 0.0)
-            self._model.soft_weights(rho_l=give, rho_u=give, w_l=linear, w_u=linear)
+            self._weigh(self._linear)
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
         self.solve(np.zeros(qp.n), self._l[: qp.m].copy(), self._u[: qp.m].copy())
 
     def replace_rows(self, A: Array) -> None:
         """Refactor inside DAQP, without new memory; the active set stays."""
+        self._A[:] = A
         self._model.update(A=A)
 
     def forget(self) -> None:
@@ -90,8 +98,28 @@ class DaqpBackend(Backend):
         np.maximum(l, -_FAR, out=self._l[:rows])
         np.minimum(u, _FAR, out=self._u[:rows])
         self._model.update(f=q, bupper=self._u, blower=self._l)
+        x, _, flag, info = self._model.solve()
+        if flag == _GAVE_WAY and self._corrects:
+            x, flag, info = self._correct(x, l, u)
         answer = self._answer
-        answer.x, _, flag, info = self._model.solve()
-        answer.y, answer.iterations = info["lam"][:rows], info["iterations"]
+        answer.x, answer.y, answer.iterations = x, info["lam"][:rows], info["iterations"]
         answer.status = _STATUS.get(flag, Status.FAILED)
         return answer
+
+    def _correct(self, x: Array, l: Array, u: Array) -> tuple[Array, int, Any]:  # noqa: E741
+        """Solve again with the curvature that is not in the problem around the slack there is.
+
+        Its price is taken off the linear penalty, so that both together are the true penalty where
+        the rows stand (a proximal point). The active set stays: this costs one step.
+        """
+        Ax = np.dot(self._A, x, out=self._rows)
+        slack = np.maximum(np.maximum(Ax - u, l - Ax), 0.0)
+        slack *= self._excess
+        self._weigh(self._linear - slack)
+        x, _, flag, info = self._model.solve()
+        self._weigh(self._linear)
+        return x, flag, info
+
+    def _weigh(self, linear: Array) -> None:
+        give = self._give
+        self._model.soft_weights(rho_l=give, rho_u=give, w_l=linear, w_u=linear)
