@@ -9,6 +9,9 @@ import numpy as np
 from qpmpc.arrays import Array, Indices, matrix, vector
 from qpmpc.errors import BoundsError, ModelError
 
+_INFINITE = 1e20
+"""Size from which a bound is none."""
+
 
 @dataclass(frozen=True, eq=False)
 class QuadraticProgram:
@@ -20,8 +23,11 @@ class QuadraticProgram:
     A soft row gives way at the price ``linear_i`` per unit of violation: an exact penalty, as long
     as it exceeds the multiplier that the row would have if it were hard.
 
+    Bounds of 1e20 and more are taken as infinite, as is the custom of files of QPs.
+
     Raises:
-        ShapeError: sizes do not fit. ModelError: NaN, P not symmetric, negative penalty.
+        ShapeError: sizes do not fit. ModelError: NaN, P not symmetric or not positive
+            semidefinite, negative penalty.
         BoundsError: a lower bound above the upper one.
     """
 
@@ -43,6 +49,8 @@ class QuadraticProgram:
     def __post_init__(self) -> None:
         P = matrix("P", self.P)
         n = P.shape[0]
+        if n == 0:
+            raise ModelError("P must have at least one variable")
         matrix("P", P, n, n)
         if not np.allclose(P, P.T, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(P).max(initial=0.0))):
             raise ModelError("P must be symmetric")
@@ -52,8 +60,8 @@ class QuadraticProgram:
             "P": P,
             "q": vector("q", self.q, n),
             "A": A,
-            "l": vector("l", self.l, m, finite=False),
-            "u": vector("u", self.u, m, finite=False),
+            "l": _with_infinity(vector("l", self.l, m, finite=False)),
+            "u": _with_infinity(vector("u", self.u, m, finite=False)),
             "linear": vector("linear", self.linear, m, finite=False),
             "quadratic": vector("quadratic", self.quadratic, m),
         }
@@ -83,6 +91,15 @@ class QuadraticProgram:
 
     def __repr__(self) -> str:
         return f"QuadraticProgram(variables={self.n}, rows={self.m}, soft={self.soft.size})"
+
+
+def _with_infinity(bounds: Array) -> Array:
+    far = np.abs(bounds) >= _INFINITE
+    if not far.any():
+        return bounds
+    result = np.where(far, np.copysign(np.inf, bounds), bounds)
+    result.flags.writeable = False
+    return result
 
 
 class SlackForm:

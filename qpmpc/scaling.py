@@ -15,10 +15,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from qpmpc.arrays import Array
+from qpmpc.errors import ModelError
 from qpmpc.program import QuadraticProgram
 
 _CONDITION = 1e12
 """Condition of the Hessian up to which it is worth inverting."""
+_ROUNDING = 1e-9
+"""Negative eigenvalue, beside the largest, that rounding may cause."""
 _ROUNDS = 12
 """Rounds of equilibration; each takes the square root of what is left."""
 
@@ -38,6 +41,9 @@ class Scaling:
             groups: rows of one quantity, which share one scale: a row that the decision hardly
                 moves stays small beside its neighbours instead of being blown up. Each row is a
                 group of its own if not given.
+
+        Raises:
+            ModelError: the Hessian is not positive semidefinite.
         """
         T = _whitening(qp.P)
         if T is None:
@@ -83,14 +89,15 @@ class Scaling:
 
 
 def _whitening(P: Array) -> Array | None:
-    """Return T with T' P T = I, or None where P is not safely definite."""
-    try:
-        upper = np.linalg.cholesky(P).T
-    except np.linalg.LinAlgError:
-        return None
+    """Return T with T' P T = I, or None where P is only semidefinite, or nearly so."""
     eigenvalues = np.linalg.eigvalsh(P)
+    if eigenvalues[0] < -_ROUNDING * max(eigenvalues[-1], -eigenvalues[0]):
+        raise ModelError(
+            f"P must be positive semidefinite, its least eigenvalue is {eigenvalues[0]:.3g}"
+        )
     if not eigenvalues[-1] < _CONDITION * eigenvalues[0]:
         return None
+    upper = np.linalg.cholesky(P).T
     # Entries of the inverse that the structure of P makes zero stay exactly zero.
     return np.asarray(solve_triangular(upper, np.eye(P.shape[0])))
 
