@@ -153,20 +153,23 @@ def scenario_table(scenarios: Iterable[Scenario]) -> Table:
 
 def backend_table(backends: Iterable[BackendInfo]) -> Table:
     """The backends, installed or not."""
-    table = Table(
-        "name", "installed", "warm\nstart", "new rows\ncheap", "limits", "what it is",
-        title="Backends", box=SIMPLE_HEAD,
-    )  # fmt: skip
+    table = Table(title="Backends", box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
+    table.add_column("name", no_wrap=True)
+    for heading in ("warm\nstart", "new\nrows", "limits"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("what it is", vertical="bottom")
     for b in backends:
         table.add_row(
             b.name,
-            f"{b.package} {b.version}" if b.version else f"no: {b.install}",
             "yes" if b.warm_starts else "no",
-            "yes" if b.replaces_rows else "no",
-            ", ".join(sorted(b.limits)) or "none",
-            b.summary,
+            "taken" if b.replaces_rows else "rebuilt",
+            ", ".join(_LIMITS[limit] for limit in sorted(b.limits)) or "none",
+            f"{b.summary} ({f'{b.package} {b.version}' if b.version else escape(b.install)})",
         )
     return table
+
+
+_LIMITS = {"iterations": "iter.", "time": "time"}
 
 
 def _number(value: float | None, form: str, unit: str = "") -> str:
