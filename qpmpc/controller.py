@@ -33,7 +33,8 @@ class Times:
     update: float
     """Observer, reference, vectors of the QP and their scaling."""
     build: float
-    """What a backend that cannot be updated takes to build its problem anew; 0 for the others."""
+    """Bringing new rows into the solver, and what a backend that cannot be updated takes to build
+    its problem anew; 0 otherwise."""
     solve: float
     """The backend without that."""
     step: float
@@ -165,18 +166,21 @@ class Controller:
         state = self.observer.correct(measurement) if measured else self.observer.state
         np.dot(self._C, state, out=self._output)
         problem.update(state, previous, self.reference(preview, self._output))
+        updated = perf_counter()
         if problem.rows_changed:
             self.solver.replace_rows(problem.A)
             problem.rows_changed = False
-        updated = perf_counter()
+        built = perf_counter() - updated
         solution = self.solver.solve(problem.q, problem.l, problem.u)
         status = solution.status if measured else Status.FAILED
         if measured and solution.usable:
             source, decision = Source.SOLUTION, solution.x.copy()
+            violation = solution.slack.copy()
             self._fallback.remember(decision, previous)
             status, command = self._clip(status, problem.command(decision, previous))
         else:
             source, command, decision = self._fallback.decide(previous, measured=measured)
+            violation = self._excess(decision)
         predicted = self._Theta @ decision
         predicted += problem.free
         self.command[:] = command
@@ -188,13 +192,13 @@ class Controller:
             command,
             decision.reshape(-1, self._n_u),
             predicted.reshape(self._shape),
-            solution.slack.copy(),
+            violation,
             problem.rows,
             solution.residuals,
             solution.iterations,
             Times(
                 updated - begin + solution.update_time,
-                solution.build_time,
+                built + solution.build_time,
                 solution.solve_time,
                 now - begin,
             ),
@@ -210,6 +214,12 @@ class Controller:
                 status = Status.CLIPPED
             command = clipped
         return status, command
+
+    def _excess(self, decision: Array) -> Array:
+        """Return how far a plan that no solver checked is beyond each row."""
+        problem = self.problem
+        rows = problem.A @ decision
+        return np.maximum(np.maximum(rows - problem.u, problem.l - rows), 0.0)
 
     def _complain(self, measurement: Array, preview: Array) -> None:
         if measurement.shape != self._measured:

@@ -24,6 +24,9 @@ from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference
 
 Axis = Literal["x", "y", "z"]
+_MOVABLE = ("command", "rate", "velocity", "force")
+_AT_REST = ("command", "rate", "velocity")
+"""Bounds that have to allow zero."""
 
 
 class ForceController:
@@ -56,6 +59,9 @@ class ForceController:
         for name in self.axes:
             if name not in get_args(Axis):
                 raise UnknownNameError("axis", name, get_args(Axis))
+        for bound in moving:
+            if bound not in _MOVABLE:
+                raise UnknownNameError("moving bound", bound, _MOVABLE)
         kind = backend_class(backend) if isinstance(backend, str) else backend
         self._bounds, self._joints = config.bounds, joints
         bounds = config.bounds
@@ -153,9 +159,8 @@ class ForceController:
     def _hard_bounds(self, moving: Collection[str]) -> list[Bound]:
         result: list[Bound] = []
         for kind, band in ((CommandBound, self._bounds.command), (RateBound, self._bounds.rate)):
-            low, high = self._band(kind.name, band)
-            if not ((low <= 0) & (high >= 0)).all():
-                raise BoundsError(kind.name, f"must contain 0, got [{low.max():g}, {high.min():g}]")
+            sides = self._band(kind.name, band)
+            low, high = _tightened(kind.name, sides[0], sides[1], 0.0)
             result.append(kind(low, high, moving=kind.name in moving))
         return result
 
@@ -176,6 +181,8 @@ class ForceController:
             if name in moving or np.isfinite(band).any():
                 low, high = _tightened(name, band[0], band[1], margin)
                 found[name] = OutputBound(name, output, low, high, 1.0, moving=name in moving)
+        if bounds.tangential.friction > 0 and np.isinf(bounds.tangential.limit):
+            raise BoundsError("tangential", "friction needs a limit, 0 for friction alone")
         if np.isfinite(bounds.tangential.limit):
             found["tangential"] = self._tangential(model)
         if self.bounds_joints:
@@ -222,6 +229,8 @@ def _tightened(name: str, lower: Array, upper: Array, margin: float) -> tuple[Ar
     low, high = np.asarray(lower) + margin, np.asarray(upper) - margin
     if (low > high).any():
         raise BoundsError(name, f"a margin of {margin:g} on both sides leaves no room")
+    if name in _AT_REST and not ((low <= 0) & (high >= 0)).all():
+        raise BoundsError(name, f"must contain 0, got [{low.max():g}, {high.min():g}]")
     return low, high
 
 

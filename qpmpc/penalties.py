@@ -14,8 +14,8 @@ from qpmpc.construction import NUMPY, Construction, Decision
 from qpmpc.models import LinearModel
 from qpmpc.rows import Rows, Setting
 
-_MARGIN = 2.0
-"""Factor between a penalty and the most that giving way could bring."""
+_MARGIN = 4.0
+"""Factor between a penalty and what giving way could bring by the estimate below."""
 _HARDLY = 1e-2
 """Directions in which rows move less than this, beside the others, are no way to gain anything."""
 
@@ -37,9 +37,11 @@ def ordered(
 
     A row that gives way by one unit lets the outputs, and the rows of weaker bounds, move by
     ``M = A_weaker pinv(A_row)``. What that can bring is at most the sum of the weaker penalties and
-    of the slope of the output's cost, times ``|M|``; the penalty is twice that. The promise holds
-    where no output is further from its reference than ``largest_error``: the cost is quadratic, so
-    that no finite penalty is exact for every error.
+    of the slope of the output's cost, times ``|M|``; the penalty is four times that. It is an
+    estimate, not a proof: it knows nothing of the cost of the decision, nor of other rows that are
+    at their bounds, and the cost of the outputs is quadratic, so that no finite penalty is exact
+    for every error. A bound can give way early where only a decision near the limit of the command
+    would hold it.
 
     Args:
         bounds: strongest first; their ``linear`` is replaced.

@@ -50,7 +50,7 @@ def prediction(
     Raises:
         ModelError: N or N_u out of range. ShapeError: ``output`` does not fit the states.
     """
-    moves = _check_horizons(horizon, control_horizon)
+    moves = check_horizons(horizon, control_horizon)
     Psi, markov = _responses(model, horizon, output)
     step = np.cumsum(markov, axis=0)
     n_y, n_u = step.shape[1:]
@@ -68,7 +68,7 @@ def absolute_prediction(
     The Toeplitz blocks are then the pulse response C A^i B, and the command stays at its last
     value after N_u steps. Arguments and errors as for `prediction`.
     """
-    moves = _check_horizons(horizon, control_horizon)
+    moves = check_horizons(horizon, control_horizon)
     Psi, markov = _responses(model, horizon, output)
     n_y, n_u = markov.shape[1:]
     Theta = _toeplitz(markov, moves)
@@ -79,7 +79,12 @@ def absolute_prediction(
     return Prediction(Psi, np.zeros((horizon * n_y, n_u)), Theta)
 
 
-def _check_horizons(horizon: int, control_horizon: int | None) -> int:
+def check_horizons(horizon: int, control_horizon: int | None) -> int:
+    """Return N_u, N if not given.
+
+    Raises:
+        ModelError: N or N_u out of range.
+    """
     if horizon < 1:
         raise ModelError(f"horizon must be at least 1 step, got {horizon}")
     moves = horizon if control_horizon is None else control_horizon

@@ -26,8 +26,8 @@ class QuadraticProgram:
     Bounds of 1e20 and more are taken as infinite, as is the custom of files of QPs.
 
     Raises:
-        ShapeError: sizes do not fit. ModelError: NaN, P not symmetric or not positive
-            semidefinite, negative penalty.
+        ShapeError: sizes do not fit. ModelError: NaN, P not symmetric, negative penalty. (That P
+            is positive semidefinite is seen when a `Solver` is made.)
         BoundsError: a lower bound above the upper one.
     """
 

@@ -42,7 +42,7 @@ class Check:
         self._P, self._scaling, self._tolerance = np.array(qp.P), scaling, tolerance
         self._hard = np.isinf(qp.linear)
         self._linear = np.where(self._hard, 0.0, qp.linear)
-        self._quadratic = np.array(qp.quadratic)
+        self._quadratic = np.where(self._hard, 0.0, qp.quadratic)
         self._scaled_linear = np.where(self._hard, 0.0, scaling.qp.linear)
         self._scaled_quadratic2 = 2.0 * scaling.qp.quadratic
         self._all_hard = bool(self._hard.all())

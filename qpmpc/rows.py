@@ -98,7 +98,7 @@ class Rows:
         """Lower and upper bound at the first step, ``(width,)`` each."""
         lower, upper = (side.ravel() for side in bounds)
         decision = self._decision()
-        size = np.abs(decision).max(axis=1, initial=0.0)
+        size = np.abs(decision if not self.mapped else self._all_of_base()).max(axis=1, initial=0.0)
         keep = np.asarray(size > _NOTHING * size.max(initial=0.0), dtype=np.bool_)
         self._idle = ~keep
         if not bound.moving:
@@ -122,8 +122,7 @@ class Rows:
         """Where `decision` may ever be other than zero, ``(size, n_decision)``."""
         if not self.mapped:
             return np.asarray(self.decision != 0, dtype=np.bool_)
-        some = np.abs(self._base).max(axis=1) > 0
-        return np.asarray(np.repeat(some, self.width, axis=0)[self._keep], dtype=np.bool_)
+        return np.asarray(self._all_of_base()[self._keep] > 0, dtype=np.bool_)
 
     def move(self, lower: ArrayLike, upper: ArrayLike) -> None:
         """Take other bounds.
@@ -149,8 +148,9 @@ class Rows:
         """
         if not self.mapped:
             raise BoundsError(self.name, "is not a MappedBound: there is nothing to map")
-        self._mapping = matrix(f"mapping of '{self.name}'", mapping, *self._mapping.shape)
+        checked = matrix(f"mapping of '{self.name}'", mapping, *self._mapping.shape)
         self._shift = vector(f"offset of '{self.name}'", offset, self.width)
+        self._mapping = checked
         np.compress(self._keep, self._decision(), axis=0, out=self.decision)
 
     def mapped_offset(self, parameters: Array, out: Array) -> None:
@@ -163,6 +163,11 @@ class Rows:
         moved = np.dot(free, self._mapping.T)
         moved += self._shift
         np.compress(self._keep, moved.reshape(-1), out=out)
+
+    def _all_of_base(self) -> Array:
+        """How far any map could let each row depend on the decision, up to a factor."""
+        most = np.abs(self._base).max(axis=1)
+        return np.asarray(np.repeat(most, self.width, axis=0))
 
     def _decision(self) -> Array:
         rows = np.matmul(self._mapping, self._base) if self.mapped else self._base

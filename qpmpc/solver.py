@@ -22,6 +22,8 @@ TOLERANCE = 1e-6
 """Largest scaled residual with which an answer counts as solved."""
 ACCEPTABLE = 1e-3
 """Largest scaled residual with which an answer that is not solved is better than none."""
+_CROSSED = 1e-9
+"""Share of its size by which rounding may bring a lower bound above the upper one."""
 _JUDGED = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
 """What a backend may say of an answer that is worth a check."""
 _DOUBTFUL = (Status.INACCURATE, Status.FAILED, Status.INFEASIBLE, Status.UNBOUNDED)
@@ -90,11 +92,18 @@ class Solver:
         self.qp, self.backend_name = qp, kind.name
         self._heeds_rows = kind.heeds_rows
         self._again = kind.warm_starts
-        self._patience = limits.time or np.inf
         self._scaling = Scaling(qp, groups)
-        self._parts = Parts(kind, self._scaling.qp, limits, pattern=pattern, smallest=smallest_part)
+        if limits.time and self._again:  # a second attempt must find half of the time left
+            limits = replace(limits, time=limits.time / 2)
+        self._parts = Parts(
+            kind,
+            self._scaling.qp,
+            limits,
+            patterns=(qp.P != 0, qp.A != 0 if pattern is None else pattern),
+            smallest=smallest_part,
+        )
         self._check = Check(qp, self._scaling, TOLERANCE)
-        self._x, self._y = np.zeros(qp.n), np.zeros(qp.m)
+        self._x, self._y, self._room = np.zeros(qp.n), np.zeros(qp.m), np.zeros(qp.m)
         self._to_y = self._scaling.E / self._scaling.c
 
     @property
@@ -117,12 +126,13 @@ class Solver:
         Never raises for what the numbers hold: NaN gives ``Status.FAILED``.
         """
         begin = perf_counter()
-        if not _solvable(q, l, u):
-            return self._failure(Status.FAILED, 0, perf_counter() - begin, 0.0, 0.0)
+        refusal = self._refusal(q, l, u)
+        if refusal is not None:
+            return self._failure(refusal, 0, perf_counter() - begin, 0.0, 0.0)
         self._scaling.update(q, l, u)
         ready = perf_counter()
         status, residuals, iterations, built, spent = self._attempt(q, l, u)
-        if status in _DOUBTFUL and self._again and 2 * spent < self._patience:
+        if status in _DOUBTFUL and self._again:
             self._parts.forget()  # once more, without what the solver started from
             status, residuals, again, more, longer = self._attempt(q, l, u)
             iterations, built, spent = iterations + again, built + more, spent + longer
@@ -132,6 +142,21 @@ class Solver:
             status, self._x, self._y, self._check.slack, residuals, iterations,
             ready - begin, built, spent,
         )  # fmt: skip
+
+    def _refusal(self, q: Array, l: Array, u: Array) -> Status | None:  # noqa: E741
+        """Return the status of vectors that no solver should see: NaN, or bounds that cross."""
+        if not (
+            all_finite(q)
+            and np.count_nonzero(l < np.inf) == l.size
+            and np.count_nonzero(u > -np.inf) == u.size
+        ):
+            return Status.FAILED
+        room = np.subtract(u, l, out=self._room)
+        if np.count_nonzero(room < 0):
+            size = 1.0 + np.minimum(np.abs(l), np.abs(u))
+            if (room < -_CROSSED * size).any():
+                return Status.INFEASIBLE
+        return None
 
     def _attempt(
         self,
@@ -194,12 +219,3 @@ def _require(kind: type[Backend], limits: Limits) -> None:
         if name not in kind.limits:
             has = " and ".join(sorted(kind.limits)) or "none"
             raise BackendSetupError(kind.name, f"has no limit of {name} (it has: {has})")
-
-
-def _solvable(q: Array, l: Array, u: Array) -> bool:  # noqa: E741
-    """Whether no vector holds NaN, and infinity stands only where a bound is left out."""
-    return (
-        all_finite(q)
-        and np.count_nonzero(l < np.inf) == l.size
-        and np.count_nonzero(u > -np.inf) == u.size
-    )

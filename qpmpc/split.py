@@ -102,7 +102,7 @@ class Parts:
         qp: QuadraticProgram,
         limits: Limits,
         *,
-        pattern: Pattern | None,
+        patterns: tuple[Pattern, Pattern],
         smallest: int | None,
     ) -> None:
         """Split ``qp`` and set one ``kind`` up for each component.
@@ -110,14 +110,14 @@ class Parts:
         Args:
             kind, qp: the backend and the scaled program.
             limits: of the whole; time is shared out.
-            pattern: where ``A`` may ever be other than zero, ``(m, n)``; as it is, if not given.
+            patterns: where the Hessian, ``(n, n)``, and the rows, ``(m, n)``, may ever be other
+                than zero, before scaling: that mixes variables, but those of one component only.
             smallest: part worth a call, see `components`; the backend's own figure if not given.
 
         Raises:
             BackendSetupError: the solver refuses a component.
         """
-        touched = qp.A != 0 if pattern is None else pattern
-        found = components(qp.P != 0, touched, smallest or kind.smallest_part)
+        found = components(*patterns, smallest or kind.smallest_part)
         share = Limits(limits.iterations, limits.time and limits.time / len(found))
         self._parts = [_Part(kind, qp, share, *indices) for indices in found]
         self._order = np.concatenate([part.variables for part in self._parts])

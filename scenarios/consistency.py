@@ -80,6 +80,12 @@ def _check_bounds(scenario: Scenario, source: str) -> None:
         raise ScenarioKeyError(
             source, "controller.bounds.tangential", "needs force control on x, y and z"
         )
+    if cone.friction > 0 and cone.limit == INFINITE:
+        raise ScenarioKeyError(
+            source,
+            "controller.bounds.tangential.friction",
+            "needs controller.bounds.tangential.limit, 0 for friction alone",
+        )
     if sorted(order) != sorted(get_args(SoftBoundName)):
         names = ", ".join(get_args(SoftBoundName))
         raise ScenarioKeyError(
@@ -91,7 +97,7 @@ def _check_interval(source: str, place: str, name: str, interval: Interval, marg
     low, high = interval
     if low > high:
         raise ScenarioKeyError(source, place, f"lower {low:g} exceeds upper {high:g}")
-    if name != "force" and not low <= 0 <= high:
+    if name != "force" and not low + margin <= 0 <= high - margin:
         raise ScenarioKeyError(source, place, f"must contain 0, got [{low:g}, {high:g}]")
     if low + margin > high - margin:
         raise ScenarioKeyError(source, place, f"a margin of {margin:g} leaves no room in it")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from plant.interface import JointPlant, Plant
 from qpmpc.controller import Step
 from qpmpc.force_control import ForceController
+from scenarios.errors import ScenarioError
 from scenarios.log import Log
 from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
@@ -56,6 +57,8 @@ def control_loop(
     command = np.zeros(3)
     low, high = (side.tolist() for side in schedule.first_command)
     joints = plant if controller.bounds_joints and isinstance(plant, JointPlant) else None
+    if controller.bounds_joints and joints is None:
+        raise ScenarioError("joints are bounded, but the plant tells nothing about its joints")
     with quiet_memory():
         for k in range(cycles):
             if stop():

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from qpmpc.config import Band, PerAxis
 from scenarios.config import AxesChange, Scenario
+from scenarios.errors import ScenarioError
 from scenarios.motion import Axis
 
 Array = NDArray[np.float64]
@@ -26,15 +27,18 @@ class Schedule:
         self._horizon = horizon
         self._bounds: dict[BoundName, tuple[Array, Array]] = {}
         for name in get_args(BoundName):
-            start = _sides(getattr(config, name), axes)
-            self._bounds[name] = (np.tile(start[0], (length, 1)), np.tile(start[1], (length, 1)))
+            lower, upper = _sides(getattr(config, name), axes)
+            steady = name not in _CHANGING or all(
+                getattr(step, name) is None for step in scenario.bounds_steps
+            )
+            # What does not change is not stored for every cycle.
+            lay = np.broadcast_to if steady else _repeated
+            shape = (length, len(axes))
+            self._bounds[name] = lay(lower, shape), lay(upper, shape)
         changed: set[BoundName] = set()
-        self.due = np.zeros(cycles, dtype=np.bool_)
-        """Whether the preview of a cycle differs from that of the one before, ``(cycles,)``."""
         period = scenario.cell.period
         for step in scenario.bounds_steps:
             k, last = round(step.time / period), round((step.time + step.ramp) / period)
-            self.due[max(0, k - horizon) : last + 1] = True
             for name in _CHANGING:
                 change = getattr(step, name)
                 for j, axis in enumerate(axes):
@@ -43,6 +47,28 @@ class Schedule:
                         changed.add(name)
                         for side, value in zip(self._bounds[name], band, strict=True):
                             _turn(side[:, j], k, last, value)
+        for name in changed:
+            lower, upper = self._bounds[name]
+            margin = getattr(config, f"{name}_margin")
+            crossed = (lower + margin > upper - margin).any(axis=1)
+            if crossed.any():
+                when = float(crossed.argmax()) * period
+                raise ScenarioError(
+                    f"bounds_steps: the bounds on {name} cross, or leave no room for "
+                    f"controller.bounds.{name}_margin, at t = {when:.3f} s"
+                )
+        changes = np.zeros(length, dtype=np.int64)
+        for name in changed:
+            for side, start in zip(
+                self._bounds[name], _sides(getattr(config, name), axes), strict=True
+            ):
+                changes[0] += (side[0] != start).any()
+                changes[1:] += (side[1:] != side[:-1]).any(axis=1)
+        until = np.cumsum(changes)
+        self.due: NDArray[np.bool_] = until[horizon : horizon + cycles] > until[:cycles]
+        """Whether a cycle's preview is another than that of the one before, ``(cycles,)``; in the
+        first cycle, another than the bounds at the start."""
+        self.due[0] = until[horizon] > 0
         self.moving = tuple(name for name in _CHANGING if name in changed)
         """Bounds that change during the run."""
 
@@ -62,6 +88,10 @@ class Schedule:
         """Return lower and upper bound at the first ``cycles`` instants, ``(cycles, n_axes)``."""
         lower, upper = self._bounds[name]
         return lower[:cycles], upper[:cycles]
+
+
+def _repeated(row: Array, shape: tuple[int, int]) -> Array:
+    return np.tile(row, (shape[0], 1))
 
 
 def _turn(side: Array, k: int, last: int, value: float) -> None:
