@@ -1,55 +1,55 @@
 """OSQP: operator splitting (Stellato et al., Math. Prog. Comp. 12, 2020), with a polish of our own.
 
-Every solve starts from the unconstrained minimiser. Where that breaks no row it is the answer, and
-OSQP's first termination check says so. Elsewhere OSQP starts from the multipliers of the cycle
-before, and its loosely converged iterate is polished: OSQP's own polish fails on the nearly
-dependent rows of a force bound over the horizon, and prints a line per solve where it has nothing
-to do; the one here ends at the exact answer of the soft QP, or leaves OSQP's as it is.
+OSQP starts from the multipliers of the cycle before. Its loosely converged iterate is polished:
+OSQP's own polish fails on the nearly dependent rows of a force bound over the horizon, and prints a
+line per solve where it has nothing to do; the one of `qpmpc.polish` ends at the exact answer of the
+soft QP, or leaves OSQP's as it is. Then OSQP goes on, longer each time.
 """
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cho_factor, cho_solve
 
-from qpmpc.arrays import Array
+from qpmpc.arrays import Array, all_finite
 from qpmpc.backends._registry import register
 from qpmpc.backends.base import Backend, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
+from qpmpc.feasibility import contradictory
+from qpmpc.polish import Polish
 from qpmpc.program import QuadraticProgram, SlackForm
 from qpmpc.status import Status
 
+_RHO = 1.0
+"""Step size to begin with; OSQP adapts it."""
 # Deterministic: the default interval of rho's adaptation follows the clock. Scaling is done before.
 _SETTINGS = {
     "verbose": False,
-    "eps_abs": 1e-5,
-    "eps_rel": 1e-5,
-    "max_iter": 250,
+    "eps_abs": 1e-9,
+    "eps_rel": 1e-9,
+    "eps_prim_inf": 1e-6,
+    "eps_dual_inf": 1e-6,
     "check_termination": 5,
     "adaptive_rho_interval": 25,
-    "rho": 1.0,
+    "rho": _RHO,
     "scaling": 0,
     "polishing": False,
     "warm_starting": True,
 }
-_ROUNDS = 16
-"""Times that OSQP is sent on where the polish did not end in an exact answer."""
-_EXACT = 1e-10
-"""How far an exact answer may leave a row's range, in scaled units."""
-_MET = 1e-8
-"""How far an exact answer may miss a bound that it is to sit on, in scaled units."""
-_HUGE = 1e9
-"""Multiplier that no row has whose equations can be met."""
-_REGULAR = 1e-12
-"""Curvature that keeps dependent rows solvable; the steps that follow take its effect out."""
+_ROUNDS = (25, 225, 250, 500, 1000, 2000)
+"""OSQP's iterations before each polish. In a cycle much like the last the first are enough."""
+_WITH_ITERATE = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
 
 
 @register
 class OsqpBackend(Backend):
-    """OSQP on the form with explicit slack, persistent, warm-started, polished."""
+    """OSQP on the form with explicit slack, persistent, warm-started, polished.
+
+    Iterations are OSQP's and the polish's together.
+    """
 
     name: ClassVar[str] = "osqp"
     package: ClassVar[str] = "osqp"
@@ -59,143 +59,159 @@ class OsqpBackend(Backend):
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 
     def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:
-        """Set the solver up, with the multipliers of the case that no row is active."""
+        """Set the solver up and solve once.
+
+        Raises:
+            BackendSetupError: P is not positive semidefinite, or OSQP refuses the problem.
+        """
         import osqp  # noqa: PLC0415 - only this backend needs it
 
-        self._form = form = SlackForm(qp)
-        self._n, self._n_slack = qp.n, form.q.size - qp.n
-        self._soft, self._A = qp.soft, np.array(qp.A)
-        self._linear = np.array(qp.linear)
-        quadratic = np.array(qp.quadratic)
-        self._half = np.full(qp.m, np.inf)
-        np.divide(0.5, quadratic, out=self._half, where=quadratic > 0)
-        try:
-            self._gain = -cho_solve(cho_factor(qp.P), np.eye(qp.n))
-            self._definite = True
-        except np.linalg.LinAlgError:  # only semidefinite: no minimiser to start from
-            self._gain, self._definite = np.zeros((qp.n, qp.n)), False
-        self._back = -self._gain @ self._A.T
-        self._gram = self._A @ self._back
-        self._solver: Any = osqp.OSQP()
+        status = osqp.SolverStatus
         self._status = {
-            osqp.SolverStatus.OSQP_SOLVED: Status.SOLVED,
-            osqp.SolverStatus.OSQP_SOLVED_INACCURATE: Status.INACCURATE,
-            osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
-            osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE: Status.INFEASIBLE,
-            osqp.SolverStatus.OSQP_MAX_ITER_REACHED: Status.ITERATION_LIMIT,
-            osqp.SolverStatus.OSQP_TIME_LIMIT_REACHED: Status.ITERATION_LIMIT,
+            status.OSQP_SOLVED: Status.SOLVED,
+            status.OSQP_SOLVED_INACCURATE: Status.INACCURATE,
+            status.OSQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
+            status.OSQP_PRIMAL_INFEASIBLE_INACCURATE: Status.INFEASIBLE,
+            status.OSQP_DUAL_INFEASIBLE: Status.UNBOUNDED,
+            status.OSQP_DUAL_INFEASIBLE_INACCURATE: Status.UNBOUNDED,
+            status.OSQP_MAX_ITER_REACHED: Status.ITERATION_LIMIT,
+            status.OSQP_TIME_LIMIT_REACHED: Status.ITERATION_LIMIT,
         }
+        self._new, self._refusal = osqp.OSQP, (ValueError, osqp.OSQPException)
+        self._most, self._time = limits.iterations or 10**9, limits.time or np.inf
+        self._form = SlackForm(qp)
+        self._soft, self._hard = qp.soft, np.flatnonzero(np.isinf(qp.linear))
+        self._A, self._linear = np.array(qp.A), np.array(qp.linear)
         try:
-            self._solver.setup(
-                sparse.csc_matrix(sparse.triu(form.P)),
-                form.q, sparse.csc_matrix(form.A), form.l, form.u,
-                **_SETTINGS | ({} if self._definite else {"eps_abs": 1e-8, "eps_rel": 1e-8}),
-            )  # fmt: skip
-        except (ValueError, osqp.OSQPException) as error:
-            raise BackendSetupError(self.name, f"OSQP refused the problem: {error}") from error
-        self._idle = np.zeros(form.l.size)
-        self._idle[form.l.size - self._n_slack :] = -self._linear[qp.soft]
-        self._start = np.zeros(form.q.size)
+            self._polish = Polish(qp)
+        except np.linalg.LinAlgError as error:
+            raise BackendSetupError(
+                self.name, f"P is not positive semidefinite ({error})"
+            ) from error
+        self._x, self._y = np.zeros(qp.n), np.zeros(qp.m)
+        self._start, self._pull = np.zeros(self._form.q.size), np.zeros(self._form.l.size)
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
-        self._solver.warm_start(x=self._start, y=self._idle)
-        self._solver.solve(raise_error=False)
+        self._rough = False  # whether the last polish was a long one: OSQP then starts with more
+        self._pattern = self._form.A != 0
+        self._setup()
+        self.solve(np.zeros(qp.n), np.full(qp.m, -np.inf), np.full(qp.m, np.inf))
+
+    def replace_rows(self, A: Array) -> None:
+        """Refactor inside OSQP; set it up anew where an entry was zero in all rows before.
+
+        Raises:
+            BackendSetupError: OSQP refuses the rows.
+        """
+        np.copyto(self._A, A)
+        self._polish.replace_rows(self._A)
+        self._form.replace_rows(A)
+        entries = self._form.A != 0
+        if (entries & ~self._pattern).any():
+            self._pattern |= entries
+            self._setup()
+        else:
+            self._solver.update(Ax=self._form.A.T[self._pattern.T])
 
     def forget(self) -> None:
-        """Take the multipliers of the case that no row is active."""
-        self._solver.warm_start(y=self._idle)
+        """Begin from zero, and with the first step size."""
+        self._x.fill(0.0)
+        self._y.fill(0.0)
+        self._rough = False
+        self._solver.update_settings(rho=_RHO)
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
-        """Update the vectors, run OSQP from the unconstrained minimiser, polish."""
-        form, answer, start, n = self._form, self._answer, self._start, self._n
-        np.dot(self._gain, q, out=start[:n])
-        rows = self._A @ start[:n]
-        over = np.maximum(np.maximum(rows - u, l - rows), 0.0)
-        start[n:] = over[self._soft]
-        form.update(q, l, u)
-        self._solver.update(q=form.q, l=form.l, u=form.u)
-        idle = self._definite and not over.any()
-        self._solver.warm_start(x=start, y=self._idle if idle else None)
+        """Update the vectors, run OSQP, polish, and so on."""
+        answer, polish, n = self._answer, self._polish, self._x.size
+        deadline = perf_counter() + self._time
         answer.iterations = 0
-        for _ in range(_ROUNDS):
+        if np.count_nonzero(l > u) and (l > u)[self._hard].any():  # OSQP would print
+            answer.status = Status.INFEASIBLE
+            return answer
+        idle = self._begin(q, l, u)
+        first = 1 if self._rough else 0
+        for attempt, planned in enumerate(_ROUNDS[first:], first):
+            self._allow(min(planned, (self._most - answer.iterations + 1) // 2), deadline)
             result = self._solver.solve(raise_error=False)
             answer.iterations += result.info.iter
             answer.status = self._status.get(result.info.status_val, Status.FAILED)
-            answer.x = result.x[:n]
-            form.multipliers(result.y, answer.y)
-            if not answer.status.usable and answer.status is not Status.ITERATION_LIMIT:
-                break
-            if idle:
-                answer.status, answer.x = Status.SOLVED, start[:n]
+            if idle and answer.status in _WITH_ITERATE:
+                answer.status, answer.x = Status.SOLVED, self._x.copy()
                 answer.y.fill(0.0)
-                break
-            if self._definite and self._polish(start[:n], rows, l, u):
-                answer.status = Status.SOLVED
+                return answer
+            answer.x = result.x[:n]
+            if answer.status in _WITH_ITERATE and not all_finite(answer.x):
+                answer.status = Status.FAILED
+            if answer.status not in _WITH_ITERATE:
+                self.forget()
+                return answer
+            self._form.multipliers(result.y, answer.y)
+            polish.allow(self._most - answer.iterations, deadline)
+            exact = polish(q, l, u, answer.x, answer.y, thorough=attempt > 0)
+            answer.iterations += polish.steps
+            if exact:
+                self._rough = polish.climbed
+                answer.status, answer.x = Status.SOLVED, polish.x
+                np.copyto(answer.y, polish.y)
                 break
             if answer.status is not Status.ITERATION_LIMIT:
                 break
+            if answer.iterations >= self._most or perf_counter() > deadline:
+                break
+        else:
+            if contradictory(self._A[self._hard], l[self._hard], u[self._hard]):
+                answer.status = Status.INFEASIBLE
+        answer.y[(answer.y > 0) & (u == np.inf) | (answer.y < 0) & (l == -np.inf)] = 0.0
+        np.copyto(self._x, answer.x)
+        np.copyto(self._y, answer.y)
         return answer
 
-    def _polish(self, free: Array, rows: Array, l: Array, u: Array) -> bool:  # noqa: E741
-        """Climb from OSQP's multipliers to the exact ones by an active-set method on the dual.
+    def _setup(self) -> None:
+        form, pattern = self._form, self._pattern
+        A = sparse.csc_matrix(pattern.astype(np.float64))
+        A.data[:] = form.A.T[pattern.T]  # zeros inside the pattern stay entries
+        self._solver: Any = self._new()
+        try:
+            self._solver.setup(
+                sparse.csc_matrix(sparse.triu(form.P)), form.q, A, form.l, form.u, **_SETTINGS
+            )
+        except self._refusal as error:
+            raise BackendSetupError(self.name, f"OSQP refused the problem: {error}") from error
+        self._allowed = 0
 
-        A row is inside (side 0), at a bound (±1) or, soft, beyond it (±2). Rows at a bound are
-        equations; a step towards their solution ends where a multiplier reaches 0 or the penalty.
+    def _allow(self, iterations: int, deadline: float) -> None:
+        """Set OSQP's own limits for its next call."""
+        if deadline < np.inf:
+            left = max(deadline - perf_counter(), 1e-9)
+            self._solver.update_settings(max_iter=iterations, time_limit=left)
+        elif iterations != self._allowed:
+            self._solver.update_settings(max_iter=iterations)
+        self._allowed = iterations
 
-        Args:
-            free: the unconstrained minimiser. rows: the rows there. l, u: their bounds.
-
-        Returns:
-            Whether it got there; only then does the answer change.
-        """
-        linear, half, y = self._linear, self._half, self._answer.y.copy()
-        y[(y > 0) & (u == np.inf) | (y < 0) & (l == -np.inf)] = 0.0
-        side = np.sign(y).astype(int)
-        side[np.abs(y) <= 1e-6] = 0
-        side[np.abs(y) >= linear * (1 - 1e-6)] *= 2
-        y = np.where(side == 0, 0.0, y)
-        firm = np.isinf(half)
-        fixed = (np.abs(side) == 2) & firm
-        y[fixed] = np.sign(y[fixed]) * linear[fixed]
-        for _ in range(3 * self._n + 20):
-            size = np.abs(side)
-            held = np.flatnonzero((size == 1) | (size == 2) & ~firm)
-            sign, beyond = np.sign(side), size == 2
-            bound = np.where(side > 0, u, l)
-            Ax = rows - self._gram @ y
-            if held.size:
-                K = self._gram[np.ix_(held, held)]
-                lead = (Ax - bound)[held]
-                two = np.flatnonzero(beyond[held])
-                K[two, two] += half[held[two]]
-                give = held[two]
-                lead[two] -= half[give] * (y[give] - sign[give] * linear[give])
-                K[np.diag_indices(held.size)] += _REGULAR
-                step = cho_solve(cho_factor(K, check_finite=False), lead, check_finite=False)
-                pull, towards = (y * sign)[held], step * sign[held]
-                low = np.where(beyond[held], linear[held], 0.0)
-                high = np.where(beyond[held], np.inf, linear[held])
-                room = np.where(towards > 0, high - pull, low - pull)
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    reach = np.where(towards != 0, room / towards, np.inf)
-                first = int(np.argmin(reach))
-                if reach[first] < 1.0:
-                    y[held] += max(reach[first], 0.0) * step
-                    i, up = held[first], towards[first] > 0
-                    y[i] = sign[i] * (linear[i] if up or beyond[i] else 0.0)
-                    side[i] = 2 * sign[i] if up else sign[i] if beyond[i] else 0
-                    continue
-                y[held] += step
-                Ax = rows - self._gram @ y
-            fixed = beyond & firm
-            outside = np.where(side == 0, np.maximum(Ax - u, l - Ax), 0.0)
-            with np.errstate(invalid="ignore"):  # 0 times an infinite bound, where it is not used
-                wrong = np.where(fixed, sign * (bound - Ax), outside)
-            i = int(np.argmax(wrong))
-            if wrong[i] <= _EXACT:
-                level = held[size[held] == 1]
-                if np.abs(Ax - bound)[level].max(initial=0.0) > _MET or np.abs(y).max() > _HUGE:
-                    return False  # the equations contradict each other
-                self._answer.x, self._answer.y = free - self._back @ y, y
-                return True
-            side[i] = sign[i] if fixed[i] else 1 if Ax[i] > u[i] else -1
-        return False
+    def _begin(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
+        """Give OSQP vectors and a start; whether that breaks no row and is the minimiser."""
+        form, x, y, start, pull = self._form, self._x, self._y, self._start, self._pull
+        n, h, k, soft = x.size, self._hard.size, self._soft.size, self._soft
+        form.update(q, l, u)
+        self._solver.update(q=form.q, l=form.l, u=form.u)
+        idle = False
+        if self._polish.definite:
+            np.copyto(x, self._polish.minimiser(q))
+        rows = self._A @ x
+        give = np.maximum(rows - u, l - rows)
+        if self._polish.definite:
+            idle = bool(give.max(initial=0.0) <= 0.0)
+            if idle:
+                y.fill(0.0)
+            elif np.count_nonzero(y):
+                x -= self._polish.response @ y
+                rows = self._A @ x
+                give = np.maximum(rows - u, l - rows)
+        start[:n] = x
+        np.maximum(give[soft], 0.0, out=start[n:])
+        price = y[soft]
+        pull[:h] = y[self._hard]
+        np.minimum(price, 0.0, out=pull[h : h + k])
+        np.maximum(price, 0.0, out=pull[h + k : h + 2 * k])
+        np.subtract(np.abs(price), self._linear[soft], out=pull[h + 2 * k :])
+        self._solver.warm_start(x=start, y=pull)
+        return idle
