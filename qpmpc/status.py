@@ -22,8 +22,3 @@ class Status(StrEnum):
     """The cost has no lower end within the rows: P is only semidefinite, and nothing stops q."""
     FAILED = "failed"
     """No usable answer: NaN among the parameters or in the answer, or a numerical breakdown."""
-
-    @property
-    def usable(self) -> bool:
-        """Whether the decision may be applied."""
-        return self in (Status.SOLVED, Status.CLIPPED, Status.INACCURATE)

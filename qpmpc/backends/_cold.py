@@ -139,7 +139,7 @@ class ColdBackend(Backend):
         if all_finite(form.q):
             if contradictory(form.A, form.l, form.u):
                 return Status.INFEASIBLE
-            if status is Status.UNBOUNDED or _bottomless(form):
+            if _bottomless(form):
                 return Status.UNBOUNDED
             if self._limited and status is Status.FAILED:
                 return Status.ITERATION_LIMIT
@@ -188,4 +188,4 @@ def _error(form: SlackForm, x: Array, y: Array) -> float:
     rows = max(float(each.max(initial=0.0)) for each in (over, under, priced))
     reach = 1.0 + float(np.abs(value).max(initial=0.0))
     level = 1.0 + float(np.abs(form.q[: form.n]).max(initial=0.0))
-    return max(rows / reach, float(np.abs(slope).max()) / level)
+    return max(float(np.abs(slope).max()) / level, rows / reach)  # in this order NaN stays NaN

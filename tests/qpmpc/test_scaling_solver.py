@@ -360,11 +360,6 @@ def test_analytic_needs_a_definite_hessian() -> None:
     assert error.value.backend == "analytic"
 
 
-def test_status_that_may_be_applied() -> None:
-    usable = {s for s in Status if s.usable}
-    assert usable == {Status.SOLVED, Status.CLIPPED, Status.INACCURATE}
-
-
 def test_an_answer_that_fails_the_check_gets_a_second_attempt_from_cold(liar: Any) -> None:
     qp = QuadraticProgram(EYE, [-3.0, 0.0], EYE, -1.0, 1.0)
     right = np.array([1.0, 0.0]), np.array([2.0, 0.0])
