@@ -102,7 +102,8 @@ def draw_comparison(comparison: Comparison, path: Path) -> None:
         values = np.concatenate([run[window, j] for run in runs])
         room = 0.1 * float(np.ptp(values)) or 1.0
         close.set_ylim(values.min() - room, values.max() + room)
-    grid[0, 0].legend(loc="best", fontsize=8, ncols=2)
+    if done:
+        grid[0, 0].legend(loc="best", fontsize=8, ncols=2)
     figure.savefig(path)
 
 

@@ -80,8 +80,8 @@ def comparison_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
         "Contact force error [N]", *(f"{what}{axis}" for what in ("RMS ", "max ") for axis in axes)
     )
     bounds = _table(
-        "Beyond the bounds: at worst, and in how many cycles",
-        "force [N]", "cycles", "velocity [m/s]", "cycles", "command [m/s^2]", "cycles",
+        "Beyond the bounds: at worst [N, m/s, m/s^2], and in how many cycles",
+        "force", "cycles", "velocity", "cycles", "command", "cycles",
     )  # fmt: skip
     solver = _table(
         "Solver: time [us], and largest error of the command [m/s^2]",

@@ -166,11 +166,11 @@ class Controller:
         state = self.observer.correct(measurement) if measured else self.observer.state
         np.dot(self._C, state, out=self._output)
         problem.update(state, previous, self.reference(preview, self._output))
-        updated = perf_counter()
+        updated, built = perf_counter(), 0.0
         if problem.rows_changed:
             self.solver.replace_rows(problem.A)
             problem.rows_changed = False
-        built = perf_counter() - updated
+            built = perf_counter() - updated
         solution = self.solver.solve(problem.q, problem.l, problem.u)
         status = solution.status if measured else Status.FAILED
         if measured and solution.usable:

@@ -53,7 +53,7 @@ class BoundsStep:
 
     time: Annotated[float, Gt(0)]
     """When it begins [s]."""
-    ramp: Annotated[float, Ge(0)] = 0.0
+    ramp: Annotated[float, Ge(0), Le(3600)] = 0.0
     """Time over which finite bounds move to their new values [s]; 0: at once."""
     force: Interval | AxesChange | None = None
     """New bounds on the contact force [N]; as before if not given."""

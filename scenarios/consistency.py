@@ -3,7 +3,7 @@
 from dataclasses import is_dataclass
 from typing import get_args
 
-from qpmpc.config import INFINITE, Band, Interval, SoftBoundName
+from qpmpc.config import INFINITE, Band, Interval, PerAxis, SoftBoundName
 from scenarios.config import AxesChange, Scenario
 from scenarios.errors import ScenarioKeyError
 
@@ -59,22 +59,24 @@ def band(value: Band | AxesChange, axis: str) -> Interval:
 def _check_bounds(scenario: Scenario, source: str) -> None:
     """Check what the types cannot: that lower does not exceed upper, and rest is allowed."""
     bounds = scenario.controller.bounds
-    for name in ("command", "rate", "velocity", "force"):
-        for axis in _AXES:
-            _check_interval(
-                source, f"controller.bounds.{name}", name, band(getattr(bounds, name), axis),
-                getattr(bounds, f"{name}_margin", 0.0),
-            )  # fmt: skip
+    placed: list[tuple[str, str, Band | AxesChange | None]] = [
+        (f"controller.bounds.{name}", name, getattr(bounds, name))
+        for name in ("command", "rate", "velocity", "force")
+    ]
     for i, step in enumerate(scenario.bounds_steps):
-        for name in ("velocity", "force"):
-            change = getattr(step, name)
-            for axis in _AXES if change is not None else ():
-                interval = band(change, axis)
+        placed += [
+            (f"bounds_steps.{i}.{name}", name, getattr(step, name))
+            for name in ("velocity", "force")
+        ]
+    for place, name, value in placed:
+        margin = getattr(bounds, f"{name}_margin", 0.0)
+        if isinstance(value, PerAxis | AxesChange):
+            for axis in _AXES:
+                interval = band(value, axis)
                 if interval is not None:
-                    _check_interval(
-                        source, f"bounds_steps.{i}.{name}", name, interval,
-                        getattr(bounds, f"{name}_margin"),
-                    )  # fmt: skip
+                    _check_interval(source, f"{place}.{axis}", name, interval, margin)
+        elif value is not None:
+            _check_interval(source, place, name, value, margin)
     cone, order = bounds.tangential, bounds.order
     if cone.limit < INFINITE and scenario.axes != _AXES:
         raise ScenarioKeyError(
@@ -95,9 +97,15 @@ def _check_bounds(scenario: Scenario, source: str) -> None:
 
 def _check_interval(source: str, place: str, name: str, interval: Interval, margin: float) -> None:
     low, high = interval
+    at_rest = name != "force"
     if low > high:
-        raise ScenarioKeyError(source, place, f"lower {low:g} exceeds upper {high:g}")
-    if name != "force" and not low + margin <= 0 <= high - margin:
-        raise ScenarioKeyError(source, place, f"must contain 0, got [{low:g}, {high:g}]")
-    if low + margin > high - margin:
-        raise ScenarioKeyError(source, place, f"a margin of {margin:g} leaves no room in it")
+        reason = f"lower {low:g} exceeds upper {high:g}"
+    elif low == INFINITE or high == -INFINITE:
+        reason = f"no number lies in [{low:g}, {high:g}]"
+    elif at_rest and not low <= 0 <= high:
+        reason = f"must contain 0, got [{low:g}, {high:g}]"
+    elif low + margin > high - margin or (at_rest and not low + margin <= 0 <= high - margin):
+        reason = f"a margin of {margin:g} leaves no room in it"
+    else:
+        return
+    raise ScenarioKeyError(source, place, reason)

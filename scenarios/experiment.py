@@ -36,7 +36,7 @@ class Experiment:
     """Why it ended before both runs were through: "interrupted", or what failed; None if it did
     not."""
     wall_time: dict[str, float]
-    """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``."""
+    """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``; 0 if not run."""
 
 
 def run_experiment(
@@ -134,6 +134,6 @@ def run_experiment(
         {
             "setup": ready - started,
             "compensated": controlled - ready,
-            "uncompensated": ended - controlled,
+            "uncompensated": ended - controlled if held is None else 0.0,
         },
     )

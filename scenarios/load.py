@@ -222,6 +222,10 @@ def _reason(error: Any) -> str:
         return "is missing"
     message = error["msg"].removeprefix("Input ").removeprefix("should ")
     given = error["input"]
+    if error["type"] in ("too_long", "too_short") and isinstance(given, list):
+        least = error["ctx"].get("min_length", error["ctx"].get("max_length"))
+        what = "at least" if error["type"] == "too_short" else "at most"
+        return f"must have {what} {least} values, got {json.dumps(given)}"
     shown = json.dumps(given) if not isinstance(given, dict) else "a table"
     return f"must {message}, got {shown}" if error["msg"].startswith("Input should") else message
 

@@ -35,6 +35,8 @@ _PACKAGES = (
 )  # fmt: skip
 _NOISE = 1e-6
 """Share of a bound by which rounding may pass it: no violation."""
+_ROUNDING = 1e-9
+"""The same at a bound of zero, in its unit."""
 
 
 def summarise(experiment: Experiment) -> Summary:
@@ -76,7 +78,9 @@ def summarise(experiment: Experiment) -> Summary:
                 "compensated": end * period / wall["compensated"] if end else None,
                 # a run that was not made, or not to its end, has no speed
                 "uncompensated": (
-                    end * period / wall["uncompensated"] if experiment.stopped is None else None
+                    end * period / wall["uncompensated"]
+                    if experiment.stopped is None and wall["uncompensated"]
+                    else None
                 ),
             },
         },
@@ -124,8 +128,10 @@ def violations(log: Log, schedule: Schedule, period: float) -> Summary:
     for name, values in found.items():
         lower, upper = schedule.over(name, end)
         above, below = values - upper, lower - values
-        above[above <= _NOISE * np.abs(upper)] = 0.0
-        below[below <= _NOISE * np.abs(lower)] = 0.0
+        size = np.maximum(*(np.abs(np.where(np.isfinite(b), b, 0.0)) for b in (lower, upper)))
+        noise = np.maximum(_NOISE * size, _ROUNDING)
+        above[above <= noise] = 0.0
+        below[below <= noise] = 0.0
         excess = np.maximum(above, below)
         result[name] = {
             "count": int((excess > 0).any(axis=1).sum()),

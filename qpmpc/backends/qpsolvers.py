@@ -234,6 +234,7 @@ def _kind(variant: str) -> type[QpsolversBackend]:
     has: dict[LimitKind, str] = {"iterations": it.iterations, "time": it.time}
     body = {
         "__doc__": f"{it.summary}, behind qpsolvers.",
+        "__module__": __name__,
         "name": f"qpsolvers:{variant}",
         "package": it.package,
         "summary": f"{it.summary}; behind qpsolvers, built anew each time",
