@@ -90,12 +90,12 @@ class Polish:
         """Set `x` and `y` to the exact answer, if it is found.
 
         Args:
-            q, l, u: vectors of the QP, with ``l <= u``. x, y: loose answer.
+            q, l, u: vectors of the QP; bounds may cross by rounding. x, y: loose answer.
             thorough: whether to change rows one by one where all at once does not work.
         """
         search, A, P = self._search, self._A, self._P
         self.climbed = False
-        patience = self._patience
+        patience, u = self._patience, np.maximum(l, u)
         search.bound(l, u)
         low = np.where(l > -np.inf, -self._linear, 0.0)
         y = np.clip(y, low, np.where(u < np.inf, self._linear, 0.0))

@@ -65,7 +65,10 @@ class ConicBackend(Backend):
             BackendSetupError: CasADi has no such solver here, or the solver refuses the problem.
         """
         self._limits = limits
-        self._polish = None if self.exact else Polish(qp)
+        try:
+            self._polish = None if self.exact else Polish(qp)
+        except np.linalg.LinAlgError as error:
+            raise BackendSetupError(self.name, "P is not positive semidefinite") from error
         self._form = form = self._formulate(qp)
         (m, n), self._n = form.A.shape, qp.n
         self._hard, self._A = np.flatnonzero(np.isinf(qp.linear)), np.array(qp.A)
@@ -138,7 +141,6 @@ class ConicBackend(Backend):
         form.update(q, l, u)
         np.maximum(form.l, form.u, out=form.u)  # crossed by rounding, some solvers throw or print
         self._adapt()
-        self._x[0] = np.nan  # stays where a solver gives up before it has an answer
         try:
             self._run()
             status = Status.SOLVED

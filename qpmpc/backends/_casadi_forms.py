@@ -9,6 +9,10 @@ import numpy as np
 from qpmpc.arrays import Array
 from qpmpc.program import QuadraticProgram, SlackForm
 
+_UNIT = 0.25
+"""Slack is measured in units of the price to minus this power: 0 is the row's own unit, 1 the one
+in which the price is 1. At either end OSQP needs many times the iterations."""
+
 
 class Form(Protocol):
     """A hard QP over ``(x, slack)``, its vectors written in place.
@@ -61,17 +65,11 @@ class TwoSlacks:
     in `OneSlack` these make ProxQP call feasible problems infeasible, and OSQP slow.
     """
 
-    def __init__(self, qp: QuadraticProgram, unit: float = 0.0) -> None:
-        """Build the constant part from ``qp``.
-
-        Args:
-            qp: the soft QP.
-            unit: slack is measured in units of ``linear ** -unit``: 0 is the row's own unit, 1 is
-                where its price is one.
-        """
+    def __init__(self, qp: QuadraticProgram) -> None:
+        """Build the constant part from ``qp``."""
         soft = qp.soft
         n, m, k = qp.n, qp.m, soft.size
-        size = qp.linear[soft] ** -unit
+        size = qp.linear[soft] ** -_UNIT
         self.n = n
         self.P = np.zeros((n + 2 * k, n + 2 * k))
         self.P[:n, :n] = qp.P

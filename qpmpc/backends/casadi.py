@@ -3,8 +3,8 @@
 The force controller's matrices come from CasADi's differentiation too (`qpmpc.symbolic`). Of the
 plugins in the wheel these are left out: clp and cbc, which want a linear program; fatrop, which
 prints; superscs, which gives no multipliers; qrqp, which calls wrong answers optimal where soft
-rows give way; ipqp, which prints and ends in NaN there; highs, which gives up on one QP in a
-hundred and counts the time of all solves against its limit of time; hpipm, which runs into its
+rows give way; ipqp, which prints and ends in NaN there; highs, which gives up on one or two QPs in
+a hundred and counts the time of all solves against its limit of time; hpipm, which runs into its
 limit of iterations on problems of one stage.
 """
 
@@ -31,8 +31,6 @@ _FLAT = 1e-6
 """Least eigenvalue of the Hessian below which DAQP needs proximal steps."""
 _PROXIMAL = 0.005
 """Curvature of these steps. Less takes fewer of them and rounds worse, more the other way."""
-
-
 _CLOSE = 1e-8
 """Tolerance of solvers whose answers are polished. Nowhere a relative one: beside a cost full of
 penalties it would be wide."""
@@ -173,7 +171,7 @@ class CasadiOsqp(ConicBackend):
     plugin: ClassVar[str] = "osqp"
 
     def _formulate(self, qp: QuadraticProgram) -> Form:
-        return TwoSlacks(qp, 0.25)
+        return TwoSlacks(qp)
 
     def _options(self) -> dict[str, Any]:
         settings = {

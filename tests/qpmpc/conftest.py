@@ -9,10 +9,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import quadprog
+from numpy.typing import ArrayLike
 
 from qpmpc import (
     Backend,
     CommandBound,
+    ForceController,
     Limits,
     LinearModel,
     OutputBound,
@@ -21,6 +23,7 @@ from qpmpc import (
     RateBound,
     RawSolution,
     Status,
+    Step,
     constant,
     contact_model,
     stack,
@@ -115,7 +118,68 @@ class Optimum:
     feasible: bool
 
 
+def _random_program(
+    rng: np.random.Generator, n: int, m: int, hard: int, *, quadratic: bool = False
+) -> QuadraticProgram:
+    """A program that x = 0 keeps feasible in its hard rows, with bounds on one or both sides."""
+    root = rng.standard_normal((n, n))
+    l, u = -rng.random(m), rng.random(m)  # noqa: E741
+    l[hard:] += rng.uniform(-1, 1, m - hard)
+    u[hard:] = l[hard:] + 2 * rng.random(m - hard)
+    l[rng.random(m) < 0.2] = -np.inf
+    linear = np.where(np.arange(m) < hard, np.inf, 3 * rng.random(m) + 0.1)
+    square = rng.random(m) if quadratic else np.zeros(m)
+    order = rng.permutation(m)  # hard and soft rows in any order
+    return QuadraticProgram(
+        root @ root.T + 0.3 * np.eye(n),
+        3 * rng.standard_normal(n),
+        rng.standard_normal((m, n)),
+        l[order],
+        u[order],
+        linear[order],
+        square[order],
+    )
+
+
+def _groups(qp: QuadraticProgram) -> list[tuple[Array, Array]]:
+    """Variables and rows that nothing couples with the others: spread from each variable."""
+    linked = (qp.P != 0) | ((np.abs(qp.A).T @ np.abs(qp.A)) > 0)
+    left, found = set(range(qp.n)), []
+    while left:
+        reached = {left.pop()}
+        while True:
+            more = set(np.flatnonzero(linked[list(reached)].any(axis=0)).tolist()) - reached
+            if not more:
+                break
+            reached |= more
+        left -= reached
+        variables = np.array(sorted(reached))
+        found.append((variables, np.flatnonzero((qp.A[:, variables] != 0).any(axis=1))))
+    return found
+
+
 def _optimum(qp: QuadraticProgram, q: Array, l: Array, u: Array) -> Optimum:  # noqa: E741
+    """Solve a soft QP, one group of coupled variables after the other."""
+    x, active, feasible = np.zeros(qp.n), False, True
+    linear, square = np.broadcast_to(qp.linear, qp.m), np.broadcast_to(qp.quadratic, qp.m)
+    for variables, rows in _groups(qp):
+        part = QuadraticProgram(
+            qp.P[np.ix_(variables, variables)],
+            q[variables],
+            qp.A[np.ix_(rows, variables)],
+            l[rows],
+            u[rows],
+            linear[rows],
+            square[rows],
+        )
+        found = _dense_optimum(part, part.q, part.l, part.u)
+        x[variables] = found.x
+        active, feasible = active or found.active, feasible and found.feasible
+    value = qp.A @ x
+    return Optimum(x, np.maximum(np.maximum(value - u, l - value), 0.0), active, feasible)
+
+
+def _dense_optimum(qp: QuadraticProgram, q: Array, l: Array, u: Array) -> Optimum:  # noqa: E741
     """Solve a soft QP by the dual active-set method of quadprog, on a slack form of our own.
 
     Variables are whitened; slack gets a small curvature around its last value until it stays
@@ -159,6 +223,58 @@ def _optimum(qp: QuadraticProgram, q: Array, l: Array, u: Array) -> Optimum:  # 
     margin = np.minimum(value - l, u - value) / norms
     over = np.maximum(np.maximum(value - u, l - value), 0.0)
     return Optimum(x, over, bool((margin < 1e-7).any()), feasible)
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What a closed loop did, one entry a cycle."""
+
+    steps: list[Step]
+    force: Array
+    velocity: Array
+
+    @property
+    def commands(self) -> Array:
+        return np.array([step.command for step in self.steps])
+
+
+def _on_own_model(
+    controller: ForceController,
+    force: ArrayLike,
+    setpoint: ArrayLike,
+    cycles: int,
+    *,
+    tissue: ArrayLike = 0.0,
+    before: Callable[[int, Array, Array], None] | None = None,
+) -> Trace:
+    """Close the loop on the controller's own model, begun at rest with the estimate right.
+
+    Args:
+        force, setpoint: of each axis [N]. tissue: its steady velocity on each axis [m/s], for a
+            controller with the disturbance ``fused``.
+        before: called before each step with the cycle, force and velocity.
+    """
+    model, axes = controller.general.problem.model, len(controller.axes)
+    x = np.zeros((axes, model.n_states // axes))
+    x[:, 0] = force
+    controller.reset(x[:, 0])
+    if np.any(tissue):
+        x[:, -4] = tissue
+    preview = np.tile(
+        np.asarray(setpoint, dtype=float), (controller.general.problem.horizon + 1, 1)
+    )
+    steps, forces, velocities = [], [], []
+    for k in range(cycles):
+        force, velocity = x[:, 0].copy(), x[:, 1].copy()
+        if before is not None:
+            before(k, force, velocity)
+        step = controller.step(force, velocity, preview)
+        controller.prepare()
+        x = (model.A @ x.ravel() + model.B @ step.command).reshape(x.shape)
+        steps.append(step)
+        forces.append(force)
+        velocities.append(velocity)
+    return Trace(steps, np.array(forces), np.array(velocities))
 
 
 class _Liar(Backend):
@@ -208,8 +324,18 @@ def instance() -> Callable[..., Instance]:
 
 
 @pytest.fixture(scope="session")
+def random_program() -> Callable[..., QuadraticProgram]:
+    return _random_program
+
+
+@pytest.fixture(scope="session")
 def optimum() -> Callable[..., Optimum]:
     return _optimum
+
+
+@pytest.fixture(scope="session")
+def on_own_model() -> Callable[..., Trace]:
+    return _on_own_model
 
 
 @pytest.fixture(scope="session")

@@ -24,19 +24,7 @@ from scenarios import (
 )
 from scenarios.motion import MotionConfig
 
-NAMES = ("ecg", "ideal", "paper", "paper-1d", "paper-law")
-
-
-@pytest.fixture
-def write(tmp_path):
-    """Write a scenario file, return its path as text."""
-
-    def put(text: str | bytes, name: str = "mine.toml") -> str:
-        path = tmp_path / name
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return str(path)
-
-    return put
+NAMES = ("constrained", "ecg", "ideal", "paper", "paper-1d", "paper-law")
 
 
 def refusal(*arguments, kind=ScenarioError, **named) -> str:
@@ -182,7 +170,6 @@ WRONG = [
     ("cell = 3", "cell"),
     ("cell = [1.0]", "cell"),
     ("cell.contact = 'soft'", "cell.contact"),
-    ("controller.bounds.force = [0.0, 1.0]", "controller.bounds.force"),
     ("setpoint = 1.0", "setpoint"),
     ("setpoint.steps = 1.0", "setpoint.steps"),
     ("setpoint.steps = [1.0]", "setpoint.steps.0"),
@@ -240,7 +227,6 @@ WRONG = [
     ("cell.contact.stiffness = nan", "cell.contact.stiffness"),
     ("cell.contact.stiffness = inf", "cell.contact.stiffness"),
     ("controller.bounds.command = [nan, 1.0]", "controller.bounds.command.0"),
-    ("controller.bounds.force_penalty = inf", "controller.bounds.force_penalty"),
     ("controller.observer.input_drift = inf", "controller.observer.input_drift"),
     ("motion.reference_stiffness = inf", "motion.reference_stiffness"),
     # values that do not fit one another
@@ -248,7 +234,6 @@ WRONG = [
     ("controller.bounds.command = [1.0, 2.0]", "controller.bounds.command"),
     ("controller.bounds.rate = [-2.0, -1.0]", "controller.bounds.rate"),
     ("controller.bounds.velocity = [0.4, -0.4]", "controller.bounds.velocity"),
-    ("controller.bounds.force.y = [3.0, 2.0]", "controller.bounds.force.y"),
     ("controller.control_horizon = 9", "controller.control_horizon"),
     ("controller.bounds.force.z = [-20.0, -11.0]", "setpoint.z"),
     ("setpoint.x = 9.0\ncontroller.bounds.force.x = [-8.0, 8.0]", "setpoint.x"),

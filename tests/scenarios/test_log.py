@@ -9,8 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from plant.interface import Measurement, Truth
-from qpmpc.config import BoundsConfig, ControllerConfig
+from plant.interface import JointSpace, Measurement, Truth
+from qpmpc.config import BoundsConfig, ControllerConfig, JointsConfig, TangentialConfig
+from qpmpc.fallback import Source
 from qpmpc.force_control import ForceController
 from qpmpc.status import Status
 from scenarios import Log
@@ -26,11 +27,15 @@ def filled(cycles: int, rows: int, axes=("x", "z")) -> Log:
     for k in range(rows):
         step = controller.step(np.array([1.1, -9.0]), np.zeros(2), preview)
         if k % 2:
-            step = replace(step, status=Status.CLIPPED)
+            step = replace(step, status=Status.CLIPPED, source=Source.PLAN)
+        step = replace(step, times=replace(step.times, build=1e-3 * k))
         measurement = Measurement(
             k * 1e-3, np.full(3, k + 0.1), np.full(3, k + 0.2), np.full(3, k + 0.3)
         )
-        truth = Truth(np.full(3, k + 0.4), np.full(3, k + 0.5), np.full(6, k + 0.6), k % 3 == 0)
+        truth = Truth(
+            np.full(3, k + 0.4), np.full(3, k + 0.5), np.full(6, k + 0.6), k % 3 == 0,
+            touching=k > 1, joint_velocity=k + 0.1 * np.arange(6),
+        )  # fmt: skip
         log.record(
             measurement,
             truth,
@@ -64,11 +69,12 @@ def test_the_file_gives_the_columns_back(log, table):
         tags = log.axes if name in axes else "xyz"
         read = np.column_stack([table[f"{name}_{tag}"].to_numpy() for tag in tags])
         assert np.array_equal(read, getattr(log, name)[:5]), name
-    read = np.column_stack([table[f"torque_{j}"].to_numpy() for j in range(1, 7)])
-    assert np.array_equal(read, log.torque[:5])
+    for name in ("torque", "joint_velocity"):
+        read = np.column_stack([table[f"{name}_{j}"].to_numpy() for j in range(1, 7)])
+        assert np.array_equal(read, getattr(log, name)[:5])
     for name in (
-        "time", "torque_saturated", "command_saturated", "residual", "iterations", "solve_time",
-        "cycle_time",
+        "time", "torque_saturated", "command_saturated", "touching", "residual", "iterations",
+        "build_time", "solve_time", "cycle_time",
     ):  # fmt: skip
         assert np.array_equal(table[name].to_numpy(), getattr(log, name)[:5]), name
     for i, name in enumerate(log.bounds):
@@ -83,6 +89,10 @@ def test_what_is_recorded_lands_in_its_own_column(table):
     assert row["force_x"] == 3.4
     assert row["tissue_y"] == 3.5
     assert row["torque_6"] == 3.6
+    assert row["joint_velocity_1"] == 3.0
+    assert row["joint_velocity_6"] == 3.5
+    assert row["build_time"] == 3e-3
+    assert table["touching"].to_pylist() == [False, False, True, True, True]
     assert (row["setpoint_x"], row["setpoint_z"]) == (1.0, -10.0)
     assert table["torque_saturated"].to_pylist() == [True, False, False, True, False]
     assert table["command_saturated"].to_pylist() == [True, False, False, False, True]
@@ -95,7 +105,8 @@ UNITS = {
     "force_uncompensated_x": "N", "force_predicted_z": "N", "tissue_x": "m", "tool_z": "m",
     "tool_velocity_x": "m/s", "command_z": "m/s^2", "torque_1": "N m", "torque_saturated": "1",
     "slack_command": "m/s^2", "slack_rate": "m/s^2", "slack_velocity": "m/s", "status": "1",
-    "solve_time": "s", "cycle_time": "s",
+    "solve_time": "s", "cycle_time": "s", "build_time": "s", "source": "1", "touching": "1",
+    "joint_velocity_1": "rad/s", "joint_velocity_6": "rad/s",
 }  # fmt: skip
 
 
@@ -113,11 +124,49 @@ def test_the_status_reads_as_text(table, log):
     assert log.status_counts() == {"solved": 3, "clipped": 2}
 
 
+def test_the_source_reads_as_text_and_those_that_did_not_occur_are_counted_too(table, log):
+    assert table["source"].to_pylist() == ["solution", "plan", "solution", "plan", "solution"]
+    assert log.source_counts() == {"solution": 3, "plan": 2, "analytic": 0, "hold": 0}
+
+
+def test_what_each_bound_has_to_give_has_a_column_and_a_unit():
+    """All bounds there are; the figure is the worst of the bound's rows."""
+    config = ControllerConfig(
+        bounds=BoundsConfig(
+            force=(-1.0, 3.0), velocity=(-0.4, 0.4), rate=(-5.0, 5.0),
+            tangential=TangentialConfig(limit=0.5), joints=JointsConfig(0.5, 0.5),
+        )
+    )  # fmt: skip
+    joints = JointSpace(
+        np.ones((6, 3)), np.zeros(6), np.ones((6, 3)), np.ones((6, 3)), np.ones((6, 3)),
+        np.zeros(6), np.ones(6), np.ones(6),
+    )  # fmt: skip
+    controller = ForceController(config, ("x", "y", "z"), 1e-3, joints=joints)
+    rows = controller.general.problem.rows
+    log = Log(1, ("x", "y", "z"), tuple(rows))
+    step = controller.step(np.array([1.1, 2.0, -9.0]), np.zeros(3), np.tile([1.0, 2, -10], (9, 1)))
+    nothing = Truth(np.zeros(3), np.zeros(3), np.zeros(6), False)
+    log.record(
+        Measurement(0.0, *np.zeros((3, 3))), nothing, step,
+        setpoint=np.zeros(3), saturated=False, cycle_time=0.0,
+    )  # fmt: skip
+    table = log.table()
+    units = {"force": "N", "velocity": "m/s", "tangential": "N", "joint_speed": "rad/s",
+             "joint_torque": "N m", "command": "m/s^2", "rate": "m/s^2"}  # fmt: skip
+    assert set(rows) == set(units)
+    for name, unit in units.items():
+        column = f"slack_{name}"
+        assert table.schema.field(column).metadata[b"unit"].decode() == unit
+        assert table[column][0].as_py() == step.violation[rows[name]].max()
+    assert table["slack_force"][0].as_py() > 5.0
+
+
 def test_a_log_without_rows_can_be_written(tmp_path):
     log = filled(4, 0)
     log.write(tmp_path / "empty.parquet")
     assert pq.read_table(tmp_path / "empty.parquet").num_rows == 0
     assert log.status_counts() == {}
+    assert set(log.source_counts().values()) == {0}
 
 
 def test_what_was_not_run_is_no_number(table):

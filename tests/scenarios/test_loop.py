@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import gc
+import time
 
 import numpy as np
 import pytest
 
-from plant.interface import Measurement, Truth
-from qpmpc.config import ControllerConfig, ModelConfig, ObserverConfig
+from plant.interface import JointSpace, Measurement, Truth
+from qpmpc.config import BoundsConfig, ControllerConfig, JointsConfig, ModelConfig, ObserverConfig
 from qpmpc.force_control import ForceController
-from scenarios import Log, Setpoint, SetpointConfig, SetpointStep, control_loop, watch_loop
+from scenarios import (
+    AxesChange,
+    BoundsStep,
+    Log,
+    Scenario,
+    ScenarioError,
+    Schedule,
+    Setpoint,
+    SetpointConfig,
+    SetpointStep,
+    control_loop,
+    watch_loop,
+)
 
 PERIOD, STIFFNESS, DAMPING = 1e-3, 1000.0, 20.0
 BOUND = 20.0
@@ -63,26 +76,48 @@ class Bench:
     """Controller, setpoint and log for a plant."""
 
     def __init__(
-        self, cycles=1000, axes=("x", "y", "z"), steps=(), disturbance="constant", delay=0
+        self,
+        cycles=1000,
+        *,
+        axes=("x", "y", "z"),
+        steps=(),
+        disturbance="constant",
+        delay=0,
+        bounds=None,
+        bounds_steps=(),
+        joints=None,
     ):
         config = ControllerConfig(
             model=ModelConfig(stiffness=STIFFNESS, velocity_damping=DAMPING, delay=delay, lag=0.0),
             observer=ObserverConfig(disturbance=disturbance),
+            bounds=bounds or BoundsConfig(),
         )
-        self.controller = ForceController(config, axes, PERIOD)
+        self.schedule = Schedule(
+            Scenario(
+                "bench",
+                duration=cycles * PERIOD,
+                axes=axes,
+                controller=config,
+                bounds_steps=bounds_steps,
+            )
+        )
+        self.controller = ForceController(
+            config, axes, PERIOD, joints=joints, moving=self.schedule.moving
+        )
         self.setpoint = Setpoint(SetpointConfig(steps=steps), axes, cycles, 8, PERIOD)
         self.controller.reset(self.setpoint.force[0])
         self.log = Log(cycles, axes, tuple(self.controller.general.problem.rows))
         self.cycles, self.reports = cycles, []
 
-    def run(self, plant, stop=lambda: False):
+    def run(self, plant, stop=lambda: False, watch=None):
         return control_loop(
             plant,
             self.controller,
             self.setpoint,
             self.log,
             self.cycles,
-            limits=(-BOUND, BOUND),
+            schedule=self.schedule,
+            watch=watch,
             progress=lambda done, total: self.reports.append((done, total)),
             stop=stop,
         )
@@ -177,6 +212,98 @@ def test_progress_runs_from_nothing_to_all():
     assert done == sorted(done)
     assert len(done) > 3
     assert {total for _, total in bench.reports} == {1000}
+
+
+def test_who_watches_sees_every_step_and_costs_the_cycle_no_time():
+    bench, seen = Bench(cycles=12), []
+
+    def watch(step):
+        time.sleep(0.005)
+        # While it watches, the problem still holds the vectors of this step.
+        assert bench.controller.general.problem.q.any() == (bench.log.cycles > 1)
+        seen.append((step, bench.log.cycles))
+
+    plant = Springs(swing=1e-3)
+    bench.run(plant, watch=watch)
+    assert [cycles for _, cycles in seen] == list(range(1, 13))
+    assert np.array_equal([step.command for step, _ in seen], bench.log.command)
+    assert np.median(bench.log.cycle_time) < 0.005
+
+
+def test_bounds_that_move_reach_the_controller_with_their_preview(monkeypatch):
+    """Where they are due, and in cycles where nothing changes nobody is bothered."""
+    steps = (
+        BoundsStep(0.020, ramp=0.005, force=AxesChange(z=(-9.0, np.inf))),
+        BoundsStep(0.040, velocity=(-0.01, 0.01)),
+    )
+    bench = Bench(cycles=60, bounds_steps=steps)
+    moved, plant = [], Springs()
+    move = bench.controller.move
+
+    def note(name, lower, upper):
+        moved.append((plant.k, name, lower.copy(), upper.copy()))
+        move(name, lower, upper)
+
+    monkeypatch.setattr(bench.controller, "move", note)
+    bench.run(plant)
+    due = np.flatnonzero(bench.schedule.due)
+    assert [(k, name) for k, name, _, _ in moved] == [
+        (k, name) for k in due for name in ("force", "velocity")
+    ]
+    for k, name, *sides in moved:
+        for side, expected in zip(sides, bench.schedule.preview(name, k), strict=True):
+            assert np.array_equal(side, expected)
+    assert bench.log.force[26:, 2].min() > -9.0 - 1e-3
+    assert np.abs(bench.log.tool_velocity[40:]).max() < 0.01 * (1 + 1e-3)
+
+
+class Jointed(Springs):
+    """Springs whose three joints are its axes, geared differently at every instant."""
+
+    @staticmethod
+    def ratio(k):
+        return 10.0 + 5.0 * np.sin(0.03 * k)
+
+    def joint_space(self, force, previous):
+        self.asked = [*getattr(self, "asked", []), (self.k, force.copy(), previous.copy())]
+        return self.space()
+
+    def space(self):
+        gear = np.vstack([np.eye(3), np.zeros((3, 3))]) * self.ratio(self.k)
+        nothing, ones = np.zeros((6, 3)), np.ones(6)
+        return JointSpace(gear, 0 * ones, nothing, nothing, nothing, 0 * ones, ones, ones)
+
+
+def test_a_plant_that_knows_its_joints_is_asked_in_every_cycle_if_they_are_bounded():
+    steps, plant = (SetpointStep(0.02, x=30.0, y=-20.0, z=-60.0),), Jointed()
+    bench = Bench(
+        cycles=120, steps=steps, bounds=BoundsConfig(joints=JointsConfig(speed=0.5)),
+        joints=plant.space(),
+    )  # fmt: skip
+    bench.run(plant)
+    assert [k for k, _, _ in plant.asked] == list(range(120))
+    for k, force, previous in plant.asked:
+        assert np.array_equal(force, bench.log.force_measured[k])
+        assert np.array_equal(previous, bench.log.command[k - 1] if k else np.zeros(3))
+    speed = np.abs(Jointed.ratio(np.arange(120))[:, None] * bench.log.tool_velocity)
+    assert np.median(speed[30:60].max(axis=1)) > 0.49
+    assert speed.max() < 0.51  # in one cycle the gear changes by 1.5 %
+
+
+def test_a_plant_that_does_not_know_its_joints_is_refused_where_they_are_bounded():
+    plant = Springs()
+    bench = Bench(
+        cycles=5, bounds=BoundsConfig(joints=JointsConfig(speed=0.5)), joints=Jointed().space()
+    )
+    with pytest.raises(ScenarioError, match="joints"):
+        bench.run(plant)
+    assert not plant.commands
+
+
+def test_a_plant_that_knows_its_joints_is_not_asked_if_nothing_bounds_them():
+    plant, bench = Jointed(), Bench(cycles=20)
+    bench.run(plant)
+    assert not hasattr(plant, "asked")
 
 
 def test_watching_writes_the_force_and_commands_nothing():

@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from qpmpc.fallback import Source
 from qpmpc.status import Status
-from scenarios import Experiment, Log, load_scenario, summarise
+from scenarios import Experiment, Log, Schedule, load_scenario, summarise
 from scenarios.metrics import PAPER, statistics
 from scenarios.results import to_json
 
@@ -32,13 +33,16 @@ def experiment(rows=CYCLES, *, held=True, stopped=None, axes=("x", "y", "z")) ->
     log.torque_saturated[::10] = True
     log.command_saturated[::4] = True
     log.status[::100] = list(Status).index(Status.INACCURATE)
+    log.source[::50] = list(Source).index(Source.PLAN)
+    log.source[::100] = list(Source).index(Source.HOLD)
+    log.build_time[:] = rng.gamma(3.0, 5e-6, CYCLES)
     log.solve_time[:] = rng.gamma(3.0, 5e-6, CYCLES)
     log.cycle_time[:] = log.solve_time + 1e-4
     log.cycle_time[5:8] = 2e-3
     log.cycles = rows
     wall = {"setup": 1.0, "compensated": 0.25, "uncompensated": 0.125}
     scenario = load_scenario("paper", settings=[f"axes={list(axes)}", "duration=1.0"])
-    return Experiment(scenario, log, stopped, wall)
+    return Experiment(scenario, log, Schedule(scenario), stopped, wall)
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +58,20 @@ def summary(complete):
 def test_every_stable_key_is_there(summary):
     assert {
         "scenario", "backend", "seed", "cycles", "axes", "paper", "timing", "saturation", "status",
-        "versions",
+        "source", "violations", "increment_rms", "complete", "stopped", "versions",
     } <= set(summary)  # fmt: skip
     assert set(summary["axes"]) == {"x", "y", "z"}
     for figures in summary["axes"].values():
         assert set(figures) == {"uncompensated", "compensated", "reduction"}
         assert set(figures["uncompensated"]) == set(figures["compensated"]) == KEYS
         assert set(figures["reduction"]) == {"rms", "max"}
-    assert {"solve_us", "cycle_us", "misses"} <= set(summary["timing"])
-    assert set(summary["timing"]["solve_us"]) == set(summary["timing"]["cycle_us"]) == PERCENTILES
+    times = ("build_us", "solve_us", "cycle_us")
+    assert {*times, "misses"} <= set(summary["timing"])
+    assert all(set(summary["timing"][name]) == PERCENTILES for name in times)
+    assert set(summary["source"]) == {"solution", "plan", "analytic", "hold"}
+    assert set(summary["violations"]) == {"force", "velocity", "command"}
+    for figures in summary["violations"].values():
+        assert set(figures) == {"count", "worst", "integral"}
     assert set(summary["saturation"]) == {"torque", "command"}
     assert {"python", "numpy", "mujoco", "pin", "osqp", "daqp", "pulsempc"} <= set(
         summary["versions"]
@@ -75,6 +84,7 @@ def test_what_was_run_is_told(summary):
     assert summary["cycles"] == CYCLES
     assert summary["complete"] is True
     assert summary["status"] == {"solved": CYCLES - 10, "inaccurate": 10}
+    assert summary["source"] == {"solution": CYCLES - 20, "plan": 10, "analytic": 0, "hold": 10}
     assert summary["paper"] == PAPER
 
 
@@ -100,7 +110,9 @@ def test_a_step_of_the_setpoint_counts_for_the_controlled_run_only(complete, sum
 
 def test_times_and_shares_are_those_of_numpy(complete, summary):
     log, timing = complete.log, summary["timing"]
-    for name, times in (("solve_us", log.solve_time), ("cycle_us", log.cycle_time)):
+    for name, times in (
+        ("build_us", log.build_time), ("solve_us", log.solve_time), ("cycle_us", log.cycle_time),
+    ):  # fmt: skip
         expected = np.percentile(1e6 * times, [50, 99, 99.9, 100])
         assert list(timing[name].values()) == pytest.approx(expected)
     assert timing["misses"] == 3

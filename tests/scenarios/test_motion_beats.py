@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import scenarios
+from scenarios import load_scenario
 from scenarios.motion import (
     Motion,
     MotionConfig,
@@ -14,6 +15,7 @@ from scenarios.motion import (
     MotionTooShortError,
     load_motion,
 )
+from scenarios.motion.beats import read_beats
 
 PERIOD = 0.001
 REAL_BEATS = Path(scenarios.__file__).parent / "data" / "beats_mitbih208.csv"
@@ -152,3 +154,19 @@ def test_bad_beat_files(tmp_path: Path, text: str, line: int | None, words: str)
         heart(1.0, beats=str(path))
     assert caught.value.line == line
     assert caught.value.path == path
+
+
+def test_the_early_beat_of_constrained_falls_into_its_cap_on_force() -> None:
+    """At 0.65 of the interval; the pause after it is compensatory, all others are regular."""
+    scenario = load_scenario("constrained")
+    beats = read_beats(Path(scenario.motion.beats))
+    intervals = np.diff(beats.times)
+    usual = beats.usual_interval
+    (early,) = np.flatnonzero(intervals < 0.9 * usual)
+    assert intervals[early] == pytest.approx(0.65 * usual, rel=1e-3)
+    assert intervals[early] + intervals[early + 1] == pytest.approx(2 * usual, rel=1e-3)
+    others = np.delete(intervals, [early, early + 1])
+    np.testing.assert_allclose(others, usual, atol=1.1e-4)
+    capped, freed = (step.time for step in scenario.bounds_steps)
+    assert capped < beats.times[early + 1] < beats.times[early + 1] + 0.3 < freed
+    assert beats.times[-1] > scenario.duration
