@@ -116,10 +116,10 @@ class ColdBackend(Backend):
             attempt = setup.run()
             answer.build_time += spent + attempt.build_time
             answer.iterations += attempt.iterations
-            error = _error(form, attempt.x, attempt.y)
-            answer.status = self._reason(attempt.status, error, deadline)
-            if not self._overlooked(answer.status, attempt.x):
+            if not self._overlooked(attempt.status, attempt.x):
                 break
+        error = _error(form, attempt.x, attempt.y)
+        answer.status = self._reason(attempt.status, error, deadline)
         answer.x, answer.y = attempt.x[: form.n], form.multipliers(attempt.y, self._y)
         if answer.status is Status.ITERATION_LIMIT and error == np.inf:  # stopped before any
             answer.x, answer.y = np.zeros(form.n), np.zeros(self._y.size)
@@ -150,10 +150,10 @@ class ColdBackend(Backend):
         form = self._form
         low = (form.l <= -_FAR) & (form.l > -np.inf)
         high = (form.u >= _FAR) & (form.u < np.inf)
-        if not (np.count_nonzero(low) or np.count_nonzero(high)) or status is Status.INFEASIBLE:
+        if not (np.count_nonzero(low) or np.count_nonzero(high)):
             return False
-        if status in (Status.UNBOUNDED, Status.FAILED):
-            return True
+        if status is not Status.SOLVED:
+            return status not in (Status.INFEASIBLE, Status.ITERATION_LIMIT)
         value = form.A @ x
         return bool((value < form.l)[low].any() or (value > form.u)[high].any())
 

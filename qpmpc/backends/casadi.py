@@ -111,7 +111,7 @@ class CasadiProxqp(ConicBackend):
     """ProxQP on sparse matrices."""
 
     name: ClassVar[str] = "casadi:proxqp"
-    summary: ClassVar[str] = "ProxQP behind CasADi, augmented Lagrangian, cold, polished"
+    summary: ClassVar[str] = "ProxQP behind CasADi, polished; now and then fails on long horizons"
     limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS
     plugin: ClassVar[str] = "proxqp"
 
@@ -197,9 +197,7 @@ class CasadiIpopt(ConicBackend):
     """IPOPT, through CasADi's way of handing a QP to a solver of nonlinear programs."""
 
     name: ClassVar[str] = "casadi:nlpsol"
-    summary: ClassVar[str] = (
-        "IPOPT behind CasADi's nlpsol, polished: slow, ten milliseconds and more"
-    )
+    summary: ClassVar[str] = "IPOPT behind CasADi, polished; slow: ten milliseconds and more"
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
     plugin: ClassVar[str] = "nlpsol"
 

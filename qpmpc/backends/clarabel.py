@@ -28,8 +28,7 @@ _SETTINGS = {
     "tol_feas": 1e-10,
     "tol_gap_abs": 1e-12,
     "tol_gap_rel": 1e-12,
-    "tol_infeas_abs": 1e-12,  # at 1e-8 a soft row far out of reach counts as a contradiction
-    "tol_infeas_rel": 1e-12,
+    "tol_infeas_rel": 1e-12,  # at 1e-8 a soft row far out of reach counts as a contradiction
 }
 
 

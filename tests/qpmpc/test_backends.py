@@ -282,7 +282,7 @@ def test_infeasible_contact_problem(families: Any, kind: type[Backend]) -> None:
     far_l[command], far_u[command] = l[command] + 1e3, u[command] + 1e3
     assert hard[command].all()
     assert solver.solve(q, far_l, far_u).status is Status.INFEASIBLE
-    assert solver.solve(q, l, u).status.usable
+    assert solver.solve(q, l, u).usable
 
 
 @backends

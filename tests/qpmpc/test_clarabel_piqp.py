@@ -10,6 +10,7 @@ import pytest
 from qpmpc import BackendSetupError, Limits, QuadraticProgram, Solver, Status
 from qpmpc.arrays import Array
 from qpmpc.backends import backend_class
+from qpmpc.polish import Polish
 from qpmpc.scaling import Scaling
 
 pytest.importorskip("clarabel")
@@ -23,6 +24,15 @@ def silence(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
     """Nothing is printed, whatever a solver meets."""
     yield
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.fixture(params=["polished", "as the solver leaves it"])
+def polish(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Whether answers are polished: what is wrong with a set-up must not hide behind that."""
+    if request.param == "polished":
+        return True
+    monkeypatch.setattr(Polish, "__call__", lambda *_, **__: False)
+    return False
 
 
 @pytest.fixture
@@ -66,18 +76,19 @@ def layouts(qp: QuadraticProgram) -> list[tuple[Array, Array]]:
 
 @both
 def test_each_layout_gives_the_answer_of_a_fresh_solver_and_of_daqp(
-    name: str, program: QuadraticProgram, rng: np.random.Generator
+    name: str, polish: bool, program: QuadraticProgram, rng: np.random.Generator
 ) -> None:
     solver, daqp = Solver(program, name), Solver(program, "daqp")
+    accuracy = 1e-8 if polish else 1e-6
     for l, u in layouts(program):
         q = 5 * rng.standard_normal(5)
         found, fresh = solver.solve(q, l, u), Solver(program, name).solve(q, l, u)
         expected = daqp.solve(q, l, u)
         assert found.status is fresh.status is expected.status is Status.SOLVED
-        assert found.residuals.scaled <= 1e-8
-        np.testing.assert_allclose(found.x, fresh.x, atol=1e-8)
-        np.testing.assert_allclose(found.x, expected.x, atol=1e-8)
-        np.testing.assert_allclose(found.slack, expected.slack, atol=1e-8)
+        assert found.residuals.scaled <= accuracy
+        np.testing.assert_allclose(found.x, fresh.x, atol=accuracy)
+        np.testing.assert_allclose(found.x, expected.x, atol=accuracy)
+        np.testing.assert_allclose(found.slack, expected.slack, atol=accuracy)
 
 
 @both
@@ -99,7 +110,7 @@ def test_build_time_is_told_of_a_new_layout_only(name: str, program: QuadraticPr
 @both
 @pytest.mark.parametrize("far", [1e4, 1e7, 1e9, 1e15, 1e19])
 def test_far_bound_that_is_out_of_reach_does_no_harm(
-    name: str, far: float, program: QuadraticProgram, rng: np.random.Generator
+    name: str, far: float, polish: bool, program: QuadraticProgram, rng: np.random.Generator
 ) -> None:
     solver = Solver(program, name)
     far_l, far_u, free_l, free_u = (np.array(b) for b in (program.l, program.u) * 2)
@@ -109,16 +120,38 @@ def test_far_bound_that_is_out_of_reach_does_no_harm(
         expected = solver.solve(q, free_l, free_u).x.copy()
         found = solver.solve(q, far_l, far_u)
         assert found.status is Status.SOLVED
-        np.testing.assert_allclose(found.x, expected, atol=1e-7)
+        np.testing.assert_allclose(found.x, expected, atol=1e-6)
 
 
 @both
 @pytest.mark.parametrize(("curve", "slope"), [(0.0, -1.0), (1e-6, -1e3)])
 def test_far_bound_that_holds_is_kept(name: str, curve: float, slope: float) -> None:
     qp = QuadraticProgram([[curve, 0], [0, 1.0]], np.zeros(2), np.eye(2), -1.0, 1.0)
-    found = Solver(qp, name).solve(np.array([slope, 0.0]), qp.l, np.array([1e8, 1.0]))
+    solver = Solver(qp, name)
+    for far in (1e8, 1e7):
+        found = solver.solve(np.array([slope, 0.0]), qp.l, np.array([far, 1.0]))
+        assert found.status is Status.SOLVED
+        assert found.x[0] == pytest.approx(far, rel=1e-6)
+
+
+@both
+def test_far_bound_that_holds_is_seen_by_the_solver(
+    name: str, polish: bool, program: QuadraticProgram
+) -> None:
+    """Far off in one row only, for which the cost of the others has to be large."""
+    qp = QuadraticProgram(np.eye(2), np.zeros(2), np.eye(2), -1.0, 1.0)
+    found = Solver(qp, name).solve(np.array([-1e8, 0.0]), qp.l, np.array([2e6, 1.0]))
     assert found.status is Status.SOLVED
-    assert found.x[0] == pytest.approx(1e8, rel=1e-6)
+    assert found.x[0] == pytest.approx(2e6, rel=1e-6)
+
+
+@both
+def test_backend_itself_bears_a_bound_beyond_all_measure(name: str) -> None:
+    qp = QuadraticProgram(np.diag([1.0, 0.0]), np.zeros(2), np.eye(2), -1.0, 1.0)
+    backend, q = backend_class(name)(qp, Limits()), np.array([0.5, -1.0])
+    for _ in range(3):
+        backend.solve(q, np.array(qp.l), np.array([1.0, 1e25]))
+    assert backend.solve(q, np.array(qp.l), np.array(qp.u)).status is Status.SOLVED
 
 
 # ---- rows
@@ -126,7 +159,7 @@ def test_far_bound_that_holds_is_kept(name: str, curve: float, slope: float) -> 
 
 @both
 def test_replaced_rows_give_the_answer_of_a_fresh_solver(
-    name: str, program: QuadraticProgram, rng: np.random.Generator
+    name: str, polish: bool, program: QuadraticProgram, rng: np.random.Generator
 ) -> None:
     sparse = np.where(rng.random((10, 5)) < 0.5, program.A, 0.0)
     first = QuadraticProgram(
@@ -151,7 +184,7 @@ def test_replaced_rows_give_the_answer_of_a_fresh_solver(
             q = 5 * rng.standard_normal(5)
             found, fresh = solver.solve(q, *bounds), Solver(new, name).solve(q, *bounds)
             assert found.status is fresh.status is Status.SOLVED
-            np.testing.assert_allclose(found.x, fresh.x, atol=1e-8)
+            np.testing.assert_allclose(found.x, fresh.x, atol=1e-8 if polish else 1e-6)
 
 
 @both

@@ -209,6 +209,16 @@ def test_soft_rows_need_no_curvature_of_their_own(name: str) -> None:
     np.testing.assert_allclose(solution.x, [-96.0, 99.3, -1.0], rtol=1e-7)
 
 
+@variants
+def test_no_row_bounds_anything(name: str) -> None:
+    qp, free = box(), np.full(2, INF)
+    solver = Solver(qp, name)
+    for l, u in ((-free, free), (np.zeros(2), np.zeros(2)), (-free, free)):
+        solution = solver.solve(np.array([3.0, -4.0]), l, u)
+        assert solution.status is Status.SOLVED
+        np.testing.assert_allclose(solution.x, np.clip([-3.0, 4.0], l, u), atol=1e-7)
+
+
 # ---- without an answer
 
 
