@@ -69,7 +69,9 @@ class _Setup:
             piqp.PIQP_DUAL_INFEASIBLE: Status.UNBOUNDED,
         }
         self._form, self._equal = form, layout.equal
+        self._lower, self._upper = layout.lower, layout.upper
         self._between = np.union1d(layout.lower, layout.upper)
+        self._l, self._u = np.full(form.l.size, -np.inf), np.full(form.l.size, np.inf)
         self._y = np.zeros(form.l.size)
         self.stale = False
         self._solver = piqp.DenseSolver()
@@ -78,7 +80,7 @@ class _Setup:
         self._solver.setup(
             np.asfortranarray(form.P), form.q,
             self._rows(self._equal), form.u[self._equal],
-            self._rows(self._between), form.l[self._between], form.u[self._between],
+            self._rows(self._between), *self._bounds(),
         )  # fmt: skip
 
     def run(self) -> Attempt:
@@ -87,13 +89,20 @@ class _Setup:
         if self.stale:
             self._solver.update(A=self._rows(equal), G=self._rows(between))
             self.stale = False
-        self._solver.update(c=form.q, b=form.u[equal], h_l=form.l[between], h_u=form.u[between])
+        low, high = self._bounds()
+        self._solver.update(c=form.q, b=form.u[equal], h_l=low, h_u=high)
         status = self._status.get(self._solver.solve(), Status.INACCURATE)
         result = self._solver.result
         y[equal] = result.y
         y[between] = result.z_u
         y[between] -= result.z_l
         return Attempt(status, result.x.copy(), y, result.info.iter)
+
+    def _bounds(self) -> tuple[Array, Array]:
+        """Return the bounds of the inequalities, without those that the layout leaves out."""
+        self._l[self._lower] = self._form.l[self._lower]
+        self._u[self._upper] = self._form.u[self._upper]
+        return self._l[self._between], self._u[self._between]
 
     def _rows(self, which: Indices) -> Array:
         return np.asfortranarray(self._form.A[which])

@@ -14,7 +14,7 @@ def control_instants(duration: float, period: float) -> Array:
     return period * np.arange(count, dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Motion of the tissue surface at the control instants k = 0 .. n-1.
 
