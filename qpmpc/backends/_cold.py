@@ -131,7 +131,10 @@ class ColdBackend(Backend):
 
     def _reason(self, status: Status, error: float, deadline: float) -> Status:
         """Say what an answer with such an error is: some solvers cannot, or tell wrongly."""
-        if status is Status.INFEASIBLE or (status in self._polished and error <= _CLOSE):
+        hurry = self._time < np.inf  # a proof takes milliseconds
+        if (status in self._polished and error <= _CLOSE) or (
+            status is Status.INFEASIBLE and hurry
+        ):
             return status
         if self._limited and (status is Status.ITERATION_LIMIT or perf_counter() > deadline):
             return Status.ITERATION_LIMIT

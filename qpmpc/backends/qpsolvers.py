@@ -160,9 +160,9 @@ class _Setup:
 
 
 def _why(extras: dict[str, Any]) -> Status:
-    """Return why there is no answer, FAILED where qpsolvers does not hand on what the solver says.
+    """Return whether a limit stopped the solver, FAILED where qpsolvers does not hand on its word.
 
-    That rows contradict each other is not believed: several say so of rows that do not.
+    Nothing else is believed: several call rows contradictory that are not.
     """
     info = extras.get("info", extras.get("sip_output"))
     words = [extras.get("status"), extras.get("infostring")]
@@ -171,8 +171,6 @@ def _why(extras: dict[str, Any]) -> Status:
     said = said.lower().replace(" ", "").replace("_", "")
     if not said:
         return Status.FAILED
-    if "unbounded" in said or "dualinf" in said:
-        return Status.UNBOUNDED
     return Status.ITERATION_LIMIT if "iter" in said or "time" in said else Status.INACCURATE
 
 

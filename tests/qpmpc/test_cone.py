@@ -137,7 +137,7 @@ def controller(limit: float = 2.0, friction: float = 0.0, **others: Any) -> Forc
 
 
 @pytest.mark.parametrize(
-    ("limit", "friction", "parts"), [(np.inf, 0.3, 3), (2.0, 0.0, 2), (2.0, 0.3, 1), (0.0, 0.3, 1)]
+    ("limit", "friction", "parts"), [(np.inf, 0.0, 3), (2.0, 0.0, 2), (2.0, 0.3, 1), (0.0, 0.3, 1)]
 )
 def test_axes_are_solved_together_where_the_cone_couples_them(
     limit: float, friction: float, parts: int

@@ -187,6 +187,28 @@ def test_replaced_rows_give_the_answer_of_a_fresh_solver(
         np.testing.assert_allclose(found.x, fresh.x, atol=1e-7)
 
 
+def test_replaced_rows_reach_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A polish of what the old rows gave would hide that they did not."""
+    problems, solve = [], qpsolvers.solve_problem
+
+    def spy(problem: Any, *rest: Any, **options: Any) -> Any:
+        problems.append(problem)
+        return solve(problem, *rest, **options)
+
+    qp = box(3, [INF, 2.0, INF])
+    l, u = np.array([-1, -1, 0.3]), np.array([1, 1, 0.3])
+    solver = Solver(qp, INSTALLED[0])
+    monkeypatch.setattr(qpsolvers, "solve_problem", spy)
+    solver.solve(np.ones(3), l, u)
+    solver.replace_rows(2 * qp.A)
+    solver.solve(np.ones(3), l, u)
+    before, after = (p.unpack_as_dense() for p in problems[-2:])
+    hard = np.abs(before[2][:, :3]).max(axis=1) > 0
+    assert hard.sum() == 4
+    np.testing.assert_allclose(after[2][hard, :3], 2 * before[2][hard, :3])
+    np.testing.assert_allclose(after[4], 2 * before[4])
+
+
 @variants
 def test_semidefinite_hessian(name: str) -> None:
     qp = QuadraticProgram(np.diag([1.0, 0.0]), np.zeros(2), np.eye(2), -1.0, 1.0)

@@ -9,12 +9,12 @@ from qpmpc.backends import available
 from scenarios import load_scenario
 
 SHORT = (
-    "setpoint.steps=[{time=0.3, z=-12.0}]",
-    "bounds_steps=[{time=0.6, ramp=0.05, force={z=[-9.0, inf]}},"
+    "setpoint.steps=[{time=0.4, z=-12.0}]",
+    "bounds_steps=[{time=0.65, ramp=0.05, force={z=[-9.0, inf]}},"
     " {time=0.85, ramp=0.05, force={z=[-14.0, inf]}}]",
 )
 """The scenario's own events, closer together; the first beat follows the step."""
-CAP = slice(650, 850)
+CAP = slice(700, 850)
 INSTALLED = {backend.name for backend in available() if backend.version}
 SOLVERS = [name for name in ("daqp", "osqp", "clarabel", "piqp", "casadi") if name in INSTALLED]
 
@@ -49,7 +49,7 @@ def test_the_closed_form_breaks_both_caps_clearly(runs):
     assert found["velocity"]["worst"] > 0.2  # three times what is allowed, on the way to contact
     assert found["velocity"]["count"] > 50
     assert found["force"]["worst"] > 2.5  # it goes on to press with 12 N
-    assert found["force"]["count"] > 200
+    assert found["force"]["count"] > 150
     assert found["command"] == {"count": 0, "worst": 0.0, "integral": 0.0}  # that much it clips
 
 
@@ -84,7 +84,7 @@ def test_contact_is_made_once_and_not_lost(backend, runs):
 @pytest.mark.parametrize("backend", SOLVERS)
 def test_within_the_bounds_the_setpoint_is_kept(backend, runs):
     log = runs(backend).log
-    for calm, z in ((slice(220, 280), -2.0), (slice(450, 580), -12.0), (slice(970, 1000), -12.0)):
+    for calm, z in ((slice(220, 380), -2.0), (slice(550, 630), -12.0), (slice(970, 1000), -12.0)):
         assert np.abs(log.force[calm, 2] - z).max() < 0.3
 
 

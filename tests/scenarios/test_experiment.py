@@ -234,14 +234,6 @@ def analytic(simulate):
     return simulate("paper", *LOOSE, still=False, duration=0.6, backend="analytic")
 
 
-def test_osqp_with_loose_bounds_gives_the_analytic_run(analytic, simulate):
-    commands = analytic.log.command
-    assert np.abs(commands).max() > 5.0
-    given = simulate("paper", *LOOSE, still=False, duration=0.6, backend="osqp")
-    assert np.abs(given.log.command - commands).max() <= 1e-6 * np.abs(commands).max()
-    assert given.summary["status"] == {"solved": 600}
-
-
 def replay(run, backend):
     """Give the measurements and past commands of a run to another backend; return its steps.
 
@@ -282,7 +274,9 @@ def calm(simulate):
 @pytest.mark.parametrize("backend", MAIN[1:])
 def test_on_paper_every_backend_is_as_good_as_the_closed_form(backend, calm, simulate):
     given = simulate("paper", *CALM, still=False, duration=0.6, backend=backend)
-    assert np.abs(given.log.command).max() > 3.0  # a beat
+    largest = np.abs(calm.log.command).max()
+    assert largest > 3.0  # a beat
+    assert np.abs(given.log.command - calm.log.command).max() < 1e-6 * largest
     for axis, figures in given.summary["axes"].items():
         expected = calm.summary["axes"][axis]["compensated"]["rms"]
         assert figures["compensated"]["rms"] == pytest.approx(expected, rel=1e-3)
