@@ -70,4 +70,4 @@ def _relief(rows: Array, weaker: Sequence[tuple[Array, Array]]) -> float:
         return 1.0
     inverse = np.linalg.pinv(rows, rcond=_HARDLY)
     gain = sum((price @ np.abs(other @ inverse) for other, price in weaker), np.zeros(len(rows)))
-    return float(gain.max())
+    return float(gain.max()) or 1.0  # nothing to gain: any price will do

@@ -186,9 +186,10 @@ def _error(form: SlackForm, x: Array, y: Array) -> float:
         return np.inf
     value = form.A @ x
     over, under = value - form.u, form.l - value
-    priced = np.where(y != 0, np.minimum(np.abs(y), -np.where(y > 0, over, under)), 0.0)
     slope = form.P @ x + form.q + form.A.T @ y
-    rows = max(float(each.max(initial=0.0)) for each in (over, under, priced))
     reach = 1.0 + float(np.abs(value).max(initial=0.0))
     level = 1.0 + float(np.abs(form.q[: form.n]).max(initial=0.0))
-    return max(float(np.abs(slope).max()) / level, rows / reach)  # in this order NaN stays NaN
+    gap, price = -np.where(y > 0, over, under) / reach, np.abs(y) / level
+    priced = np.where(y != 0, np.minimum(price, gap), 0.0)
+    rows = max(float(each.max(initial=0.0)) for each in (over / reach, under / reach, priced))
+    return max(float(np.abs(slope).max()) / level, rows)  # in this order NaN stays NaN

@@ -87,7 +87,7 @@ def test_the_bounds_make_the_difference(summary):
     assert analytic["violations"]["velocity"]["count"] > 20
     assert analytic["command_error"] > 1.0
     for row in solvers:
-        assert row["violations"]["velocity"]["worst"] <= 2e-3
+        assert row["violations"]["velocity"]["worst"] <= 1e-3
         assert row["command_error"] < 1e-5
         assert row["without_reference"] == 0
 

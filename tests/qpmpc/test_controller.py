@@ -188,11 +188,17 @@ def test_limits_and_least_part_reach_the_solver(axis: Axis, liar: Any) -> None:
     parts = [whole.problem, whole.observer, whole.reference]
     Controller(*parts, Seen, Limits(7, 0.5))
     assert given == [Limits(7, 0.5)]
-    problem = Problem(stack([axis.model] * 2), N, output_weight=1.0, increment_weight=0.003)
+    problem = Problem(
+        stack([axis.model] * 2),
+        N,
+        output_weight=1.0,
+        increment_weight=0.003,
+        bounds=[CommandBound(-1.0, 1.0)],  # or the increments that come too late stand alone
+    )
     noise, rows = np.eye(8), np.kron(np.eye(2), axis.rows)
     observer = KalmanObserver(problem.model, rows, noise, np.eye(4))
     reference = ExponentialReference(N, 2, PERIOD, 0.01)
-    for smallest, count in ((8, 2), (9, 1), (None, 2)):
+    for smallest, count in ((100, 1), (1, 4), (None, 2)):  # the last command is without effect
         controller = Controller(problem, observer, reference, Seen, smallest_part=smallest)
         assert controller.solver.parts == count
 
@@ -413,7 +419,7 @@ def test_contradicting_hard_bounds_are_said_and_the_command_bound_wins(
     assert step.status is Status.INFEASIBLE
     assert step.source is Source.ANALYTIC
     assert step.command[0] == 5.0
-    assert np.isnan(step.violation).all()
+    assert step.violation.max() > 1.0  # of the rate, by what stands in
     step = controller.step(measured, preview(2.0))
     assert (step.status, step.source) == (Status.SOLVED, Source.SOLUTION)
 

@@ -1,5 +1,5 @@
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,20 @@ class Cell:
         self.late, self.k = command, self.k + 1
 
 
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """An arm whose joints move with the axes, one each."""
+
+    speed_gain: np.ndarray = field(default_factory=lambda: np.eye(3))
+    speed_offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    command_gain: np.ndarray = field(default_factory=lambda: np.eye(3))
+    velocity_gain: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    force_gain: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    torque_offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    speed_limit: np.ndarray = field(default_factory=lambda: np.ones(3))
+    torque_limit: np.ndarray = field(default_factory=lambda: np.full(3, 10.0))
+
+
 def trace(
     config: ControllerConfig,
     axes: tuple[Any, ...] = ("x", "y", "z"),
@@ -68,7 +82,7 @@ def trace(
 ) -> tuple[np.ndarray, Cell, list[Status]]:
     """Commands of a closed loop, ``(cycles, n_axes)``."""
     cell = cell or Cell(len(axes))
-    controller = ForceController(config, axes, PERIOD, backend)
+    controller = ForceController(config, axes, PERIOD, backend, joints=Joints())
     controller.reset(cell.force)
     wish = np.tile(cell.force, (config.horizon + 1, 1))
     commands, statuses, noise = [], [], np.random.default_rng(3)
@@ -77,6 +91,7 @@ def trace(
             wish = wish + 0.5
         measured = cell.force + 3e-3 * noise.standard_normal(len(axes))
         speed = cell.velocity + 1e-4 * noise.standard_normal(len(axes))
+        controller.view(Joints())
         step = controller.step(measured, speed, wish)
         cell.apply(step.command)
         controller.prepare()
@@ -93,6 +108,10 @@ def configured(kind: str = "fused", velocity: tuple[float, float] = FREE) -> Con
 
 # ---- every field of the configuration does something
 
+LATERAL = ("bounds.tangential",)
+"""What says nothing about z."""
+SOLVER_FIELDS = ("solver.max_iterations", "solver.time_limit", "solver.smallest_part")
+"""What does not change the answer; tested below by what it does change."""
 TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
 TIGHT_VELOCITY = {"bounds.velocity": (-0.01, 0.01)}
 EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -115,12 +134,20 @@ EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "observer.tissue_jerk_drift": (1000.0, {}),
     "bounds.command": ((-4.0, 4.0), {}),
     "bounds.rate": ((-0.5, 0.5), {}),
-    "bounds.force.x": ((1.95, 2.05), {}),
-    "bounds.force.y": ((2.95, 3.05), {}),
-    "bounds.force.z": ((3.95, 4.05), {}),
+    "bounds.force": (PerAxis((1.95, 2.05), (2.95, 3.05), (3.95, 4.05)), {}),
+    "bounds.force_margin": (0.05, TIGHT_FORCE),
     "bounds.velocity": ((-0.01, 0.01), {}),
-    "bounds.force_penalty": (1e-3, TIGHT_FORCE),
-    "bounds.velocity_penalty": (1e-3, TIGHT_VELOCITY),
+    "bounds.velocity_margin": (0.005, TIGHT_VELOCITY),
+    "bounds.order": (
+        ("force", "velocity", "joint_torque", "joint_speed", "tangential"),
+        TIGHT_FORCE | {"bounds.velocity": (-1e-4, 1e-4)},
+    ),
+    "bounds.largest_error": (1e-4, TIGHT_FORCE | TIGHT_VELOCITY),
+    "bounds.tangential.limit": (1.0, {}),
+    "bounds.tangential.friction": (0.3, {"bounds.tangential.limit": 1.0}),
+    "bounds.tangential.facets": (3, {"bounds.tangential.limit": 1.0}),
+    "bounds.joints.speed": (0.01, {}),
+    "bounds.joints.torque": (0.2, {}),
 }
 
 
@@ -138,7 +165,7 @@ def changed(record: Any, path: str, value: Any) -> Any:
     return replace(record, **{name: changed(getattr(record, name), rest, value) if rest else value})
 
 
-@pytest.mark.parametrize("path", list(paths(ControllerConfig())))
+@pytest.mark.parametrize("path", [p for p in paths(ControllerConfig()) if p not in SOLVER_FIELDS])
 def test_every_field_has_an_effect(path: str) -> None:
     assert path in EFFECTS, f"state in EFFECTS what another value of {path} changes"
     value, context = EFFECTS[path]
@@ -147,16 +174,37 @@ def test_every_field_has_an_effect(path: str) -> None:
         base = changed(base, other, setting)
     before, after = trace(base)[0], trace(changed(base, path, value))[0]
     difference = np.abs(before - after).max(axis=0)
-    if path.startswith("bounds.force."):
-        alone = np.arange(3) == "xyz".index(path[-1])
+    axes = difference[:2] if path.startswith(LATERAL) else difference
+    assert (axes > 1e-3).all()
+
+
+def test_a_bound_of_one_axis_is_that_axis_alone() -> None:
+    for i, axis in enumerate("xyz"):
+        bounds = PerAxis(**{axis: (1.95 + i, 2.05 + i)})
+        base = ControllerConfig()
+        after = trace(changed(base, "bounds.force", bounds))[0]
+        difference = np.abs(trace(base)[0] - after).max(axis=0)
+        alone = np.arange(3) == i
         assert (difference[alone] > 1e-3).all()
         assert (difference[~alone] < 1e-6).all()
-    else:
-        assert (difference > 1e-3).all()
+
+
+def test_fields_of_the_solver_change_how_it_solves() -> None:
+    base = changed(ControllerConfig(), "bounds.force", TIGHT_FORCE["bounds.force"])
+    assert Status.ITERATION_LIMIT in trace(changed(base, "solver.max_iterations", 1))[2]
+    hasty = trace(changed(base, "solver.time_limit", 1e-9), backend="clarabel")[2]
+    assert Status.ITERATION_LIMIT in hasty
+    parts = [
+        ForceController(
+            changed(base, "solver.smallest_part", smallest), ("x", "y", "z"), PERIOD
+        ).general.solver.parts
+        for smallest in (8, 100)
+    ]
+    assert parts == [3, 1]
 
 
 def test_effects_are_stated_for_fields_there_are() -> None:
-    assert set(EFFECTS) == set(paths(ControllerConfig()))
+    assert set(EFFECTS) | set(SOLVER_FIELDS) == set(paths(ControllerConfig()))
 
 
 # ---- measurements
@@ -318,9 +366,14 @@ def test_lost_measurement_fails_one_cycle_only() -> None:
         ("observer.force_noise", 0.0, QpmpcError),
         ("bounds.command", (5.0, 6.0), BoundsError),
         ("bounds.rate", (-6.0, -5.0), BoundsError),
-        ("bounds.force.x", (2.0, 1.0), BoundsError),
+        ("bounds.force", PerAxis(x=(2.0, 1.0)), BoundsError),
+        ("bounds.order", ("velocity", "force"), BoundsError),
+        ("bounds.tangential.limit", 1.0, BoundsError),
+        ("bounds.tangential.friction", 0.3, BoundsError),
+        ("bounds.joints.speed", 0.5, BoundsError),
+        ("solver.max_iterations", 0, QpmpcError),
+        ("solver.time_limit", -1.0, QpmpcError),
         ("bounds.velocity", (0.1, -0.1), BoundsError),
-        ("bounds.force_penalty", 0.0, ModelError),
     ],
 )
 def test_out_of_range(path: str, value: Any, error: type[Exception]) -> None:
