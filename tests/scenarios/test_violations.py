@@ -136,8 +136,9 @@ def test_rounding_is_no_violation():
     assert case.found()["force"]["count"] == 1
 
 
-def test_rounding_at_a_bound_of_zero_is_no_violation():
-    case = Case(command=(0.0, 20.0), force=PerAxis(z=(-14.0, 0.0)))
+@pytest.mark.parametrize("other", [14.0, INF])
+def test_rounding_at_a_bound_of_zero_is_no_violation(other):
+    case = Case(command=(0.0, other), force=PerAxis(z=(-other, 0.0)))
     case.log.command[:] = -1e-15
     case.log.force[:, 2] = 1e-14
     assert case.found()["force"] == NONE
