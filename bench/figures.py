@@ -13,10 +13,8 @@ from scenarios.schedule import BoundName, Schedule
 _HELD, _CONTROLLED, _SETPOINT = "#D55E00", "#0072B2", "#222222"
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 _LINES = ("-", "--", ":", "-.")
-_AROUND = 150
-"""Cycles to either side of the instant that is enlarged."""
 _CLOSE = 0.15
-"""Time to either side of it [s]."""
+"""Time to either side of the instant that is enlarged [s]."""
 
 
 def draw_forces(log: Log, path: Path) -> None:
@@ -98,7 +96,8 @@ def draw_comparison(comparison: Comparison, path: Path) -> None:
         whole.set_title(f"{name} on {axes[int(j)]}, dashed: its bounds", fontsize=10)
         close.set_title(f"around t = {time[k]:.2f} s", fontsize=10)
         close.set_xlim(time[k] - _CLOSE, time[k] + _CLOSE)
-        window = slice(max(0, int(k) - _AROUND), int(k) + _AROUND)
+        around = max(1, round(_CLOSE / done[most].scenario.cell.period))
+        window = slice(max(0, int(k) - around), int(k) + around)
         values = np.concatenate([run[window, j] for run in runs])
         room = 0.1 * float(np.ptp(values)) or 1.0
         close.set_ylim(values.min() - room, values.max() + room)

@@ -192,7 +192,7 @@ class ForceController:
     def _tangential(self, model: LinearModel) -> OutputBound:
         cone = self._bounds.tangential
         if self.axes != get_args(Axis):
-            raise BoundsError("tangential", "needs force control on x, y and z")
+            raise BoundsError("tangential", "needs force control on x, y and z, in this order")
         return force_cone(
             "tangential", model.C[:2], -model.C[2:],
             limit=cone.limit, friction=cone.friction, facets=cone.facets, linear=1.0,

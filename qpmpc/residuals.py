@@ -88,6 +88,13 @@ class Check:
             gradient += np.dot(self._At, y, out=self._work)
             gap += self._gap(y, l, u)
             complementarity = self._complementarity(y)
+            if complementarity > self._tolerance:
+                # Again with both in proportion: as an excuse for a large multiplier a row must be
+                # near its bound by its own measure, not by that of the gradient.
+                level, reach = self._sizes()
+                np.subtract(Ax, u, out=over)
+                np.subtract(l, Ax, out=under)
+                complementarity = self._complementarity(y, level, reach) * max(level, reach)
         scaled = scaling.gradient(gradient, self._work)
         np.abs(gradient, out=gradient)
         np.abs(scaled, out=scaled)
@@ -115,15 +122,24 @@ class Check:
         curved = ~self._hard[active] & (give > 0)
         return gap + float(np.sum(excess[curved] ** 2 / (4.0 * give[curved])))
 
-    def _complementarity(self, y: Array) -> float:
-        """Return how far scaled multipliers and rows are from complementary; uses up the work."""
+    def _complementarity(self, y: Array, level: float = 1.0, reach: float = 1.0) -> float:
+        """Return how far scaled multipliers and rows are from complementary; uses up the work.
+
+        Args:
+            y: multipliers, unscaled.
+            level, reach: what multipliers, and distances of rows, are measured in.
+        """
         s, price, over, under = self._s, self._price, self._over, self._under
         E = self._scaling.E
         np.divide(y, E, out=price)
-        price *= self._scaling.c
+        price *= self._scaling.c / level
         # A row away from its bounds must have no multiplier: min(distance, multiplier) is 0 there.
         over *= E
         under *= E
+        if reach != 1.0:
+            over /= reach
+            under /= reach
+            s = s / reach
         np.negative(over, out=over)
         np.negative(under, out=under)
         np.minimum(over, price, out=over)
@@ -134,8 +150,9 @@ class Check:
             return gap
         # A soft row that gives way by s has the multiplier linear + 2 quadratic s, never more.
         left = np.abs(price, out=price)
-        np.multiply(self._scaled_quadratic2, s, out=over)
+        np.multiply(self._scaled_quadratic2, self._s, out=over)
         over += self._scaled_linear
+        over /= level
         np.subtract(over, left, out=left)
         left[self._hard] = 0.0
         return max(gap, float(-left.min()), float(np.minimum(left, s, out=under).max()))
@@ -145,7 +162,11 @@ class Check:
         if worst <= self._tolerance:
             return worst
         # Relative to the size of the problem: far from the setpoint all figures are large.
+        level, reach = self._sizes()
+        return max(primal / reach, dual / level, gap / max(level, reach))
+
+    def _sizes(self) -> tuple[float, float]:
+        """Return the size of the gradient and of the rows, one at least."""
         level = 1.0 + float(np.abs(self._scaling.q).max(initial=0.0))
         np.multiply(self._scaling.E, self._Ax, out=self._over)
-        reach = 1.0 + float(np.abs(self._over).max(initial=0.0))
-        return max(primal / reach, dual / level, gap / max(level, reach))
+        return level, 1.0 + float(np.abs(self._over).max(initial=0.0))

@@ -80,7 +80,9 @@ def _check_bounds(scenario: Scenario, source: str) -> None:
     cone, order = bounds.tangential, bounds.order
     if cone.limit < INFINITE and scenario.axes != _AXES:
         raise ScenarioKeyError(
-            source, "controller.bounds.tangential", "needs force control on x, y and z"
+            source,
+            "controller.bounds.tangential",
+            "needs force control on x, y and z, in this order",
         )
     if cone.friction > 0 and cone.limit == INFINITE:
         raise ScenarioKeyError(

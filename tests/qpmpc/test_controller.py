@@ -198,7 +198,7 @@ def test_limits_and_least_part_reach_the_solver(axis: Axis, liar: Any) -> None:
     noise, rows = np.eye(8), np.kron(np.eye(2), axis.rows)
     observer = KalmanObserver(problem.model, rows, noise, np.eye(4))
     reference = ExponentialReference(N, 2, PERIOD, 0.01)
-    for smallest, count in ((100, 1), (1, 4), (None, 2)):  # the last command is without effect
+    for smallest, count in ((100, 1), (8, 2), (1, 2), (None, 2)):
         controller = Controller(problem, observer, reference, Seen, smallest_part=smallest)
         assert controller.solver.parts == count
 

@@ -187,8 +187,11 @@ def test_what_is_named_first_holds_and_the_other_gives_way(
     [
         (8, None),
         (8, 3),
-        pytest.param(8, 1),
-        pytest.param(16, 2),
+        (8, 1),
+        (16, 2),
+        pytest.param(
+            16, 1, marks=pytest.mark.xfail(strict=True, reason="rows outnumber the decisions")
+        ),
     ],
 )
 def test_order_holds_for_any_kind_of_decision(
@@ -301,7 +304,12 @@ def five_bounds(rng: np.random.Generator, order: Any) -> Iterator[tuple[Problem,
     [
         (VELOCITY_FIRST, 4),
         (VELOCITY_FIRST, 8),
-        pytest.param(VELOCITY_FIRST, 16),
+        (VELOCITY_FIRST, 16),
+        pytest.param(
+            VELOCITY_FIRST,
+            64,
+            marks=pytest.mark.xfail(strict=True, reason="the facets share one penalty"),
+        ),
         (FORCE_FIRST, 8),
         (FORCE_FIRST, 16),
     ],
@@ -407,10 +415,7 @@ def test_penalty_is_exact_for_errors_as_large_as_promised(horizon: int) -> None:
 
 @pytest.mark.parametrize(
     ("horizon", "delay"),
-    [
-        (8, 1),
-        pytest.param(2, 2),
-    ],
+    [(8, 1), (2, 2)],
 )
 def test_bound_has_a_penalty_even_if_nothing_can_be_gained(horizon: int, delay: int) -> None:
     """No force within the horizon depends on the decision, but torque does at once."""
