@@ -1,4 +1,4 @@
-"""Whether rows contradict each other: for solvers that only say that they found nothing."""
+"""Why a QP has no answer: for solvers that only say that they found none."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from qpmpc.arrays import Array
 
 _TOLERANCE = 1e-7
 """How far rows of order one may be missed together and still count as met."""
+
+_FALL = 1e-6
+"""Slope, relative to the gradient, that is none."""
 
 
 def contradictory(A: Array, l: Array, u: Array) -> bool:  # noqa: E741
@@ -31,3 +34,22 @@ def contradictory(A: Array, l: Array, u: Array) -> bool:  # noqa: E741
     )
     reach = 1.0 + max(np.abs(u[upper]).max(initial=0.0), np.abs(l[lower]).max(initial=0.0))
     return bool(found.status == 0 and found.fun > _TOLERANCE * reach)
+
+
+def bottomless(P: Array, q: Array, A: Array, l: Array, u: Array) -> bool:  # noqa: E741
+    """Whether the cost of a QP that has a feasible point falls without end.
+
+    Solves for the steepest of the directions in which the cost is straight and every row holds
+    however far one goes, a linear program that always has an answer. Soft rows must have been
+    turned into hard ones (`SlackForm`).
+    """
+    found = linprog(
+        q,
+        A_ub=np.vstack([A[u < np.inf], -A[l > -np.inf]]),
+        b_ub=np.zeros(np.count_nonzero(u < np.inf) + np.count_nonzero(l > -np.inf)),
+        A_eq=P,
+        b_eq=np.zeros(q.size),
+        bounds=(-1.0, 1.0),
+        method="highs",
+    )
+    return bool(found.status == 0 and found.fun < -_FALL * (1.0 + np.abs(q).max()))

@@ -17,9 +17,9 @@ from qpmpc.backends._casadi_forms import Form
 from qpmpc.backends.base import Backend, Limits, RawSolution
 from qpmpc.construction import Construction
 from qpmpc.errors import BackendSetupError
-from qpmpc.feasibility import contradictory
+from qpmpc.feasibility import bottomless, contradictory
 from qpmpc.polish import Polish
-from qpmpc.program import QuadraticProgram
+from qpmpc.program import QuadraticProgram, SlackForm
 from qpmpc.status import Status
 from qpmpc.symbolic import CASADI
 
@@ -66,9 +66,11 @@ class ConicBackend(Backend):
         """
         self._limits = limits
         try:
-            self._polish = None if self.exact else Polish(qp)
+            polish = Polish(qp)
         except np.linalg.LinAlgError as error:
             raise BackendSetupError(self.name, "P is not positive semidefinite") from error
+        self._definite, self._plain = polish.definite, SlackForm(qp)
+        self._polish = None if self.exact and polish.definite else polish
         self._form = form = self._formulate(qp)
         (m, n), self._n = form.A.shape, qp.n
         self._hard, self._A = np.flatnonzero(np.isinf(qp.linear)), np.array(qp.A)
@@ -127,6 +129,7 @@ class ConicBackend(Backend):
         """Write other rows into the buffer that the next solve reads."""
         np.copyto(self._A, A)
         self._form.replace_rows(A)
+        self._plain.replace_rows(A)
         if self._polish is not None:
             self._polish.replace_rows(self._A)
         self._fill()
@@ -160,7 +163,7 @@ class ConicBackend(Backend):
             self._better(q, l, u)
         elif status in _NEAR and self._better(q, l, u):
             status = Status.SOLVED
-        elif not (status is Status.INFEASIBLE and self.exact):
+        elif not (status is Status.INFEASIBLE and self._polish is None):
             status = self._reason(status, q, l, u)
         return status
 
@@ -172,7 +175,7 @@ class ConicBackend(Backend):
                 self._x.fill(0.0)
             value = A @ self._answer.x
             if np.maximum(value - high, low - value).max(initial=0.0) <= _HELD:
-                return status
+                return Status.UNBOUNDED if self._endless(q, l, u) else status
         if contradictory(A, low, high):
             return Status.INFEASIBLE
         if status is Status.INFEASIBLE:  # it is not
@@ -180,6 +183,14 @@ class ConicBackend(Backend):
         if status is Status.UNBOUNDED and self._polish is not None and self._polish.definite:
             return Status.FAILED
         return status
+
+    def _endless(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
+        """Whether it was no limit of the user's that was met, but a cost without a lower end."""
+        if self._definite or self._limits != Limits():
+            return False
+        form = self._plain
+        form.update(q, l, u)
+        return bottomless(form.P, form.q, form.A, form.l, form.u)
 
     def _better(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
         """Polish the answer of a solver that is not exact; whether it is exact now."""

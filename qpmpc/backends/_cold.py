@@ -7,13 +7,12 @@ from time import perf_counter
 from typing import ClassVar, Protocol
 
 import numpy as np
-from scipy.optimize import linprog
 
 from qpmpc.arrays import Array, all_finite
 from qpmpc.backends._layout import Layout, Setups
 from qpmpc.backends.base import Backend, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
-from qpmpc.feasibility import contradictory
+from qpmpc.feasibility import bottomless, contradictory
 from qpmpc.polish import Polish
 from qpmpc.program import QuadraticProgram, SlackForm
 from qpmpc.status import Status
@@ -28,8 +27,6 @@ _CLOSE = 1e-3
 """The same up to which an answer that the solver does not stand by is one all the same."""
 _ENDLESS = 1e50
 """Number that no answer holds."""
-_FALL = 1e-6
-"""Slope, relative to the gradient, that is none."""
 _EQUATIONS = 100
 """Systems of equations that a polish may solve."""
 
@@ -142,7 +139,7 @@ class ColdBackend(Backend):
         if all_finite(form.q):
             if contradictory(form.A, form.l, form.u):
                 return Status.INFEASIBLE
-            if _bottomless(form):
+            if bottomless(form.P, form.q, form.A, form.l, form.u):
                 return Status.UNBOUNDED
             if self._limited and status is Status.FAILED:
                 return Status.ITERATION_LIMIT
@@ -159,24 +156,6 @@ class ColdBackend(Backend):
             return status not in (Status.INFEASIBLE, Status.ITERATION_LIMIT)
         value = form.A @ x
         return bool((value < form.l)[low].any() or (value > form.u)[high].any())
-
-
-def _bottomless(form: SlackForm) -> bool:
-    """Whether the cost of a QP that has a feasible point falls without end.
-
-    Solves for the steepest of the directions in which the cost is straight and every row holds
-    however far one goes, a linear program that always has an answer.
-    """
-    upper, lower = form.u < np.inf, form.l > -np.inf
-    rows = np.vstack([form.A[upper], -form.A[lower]])
-    found = linprog(
-        form.q,
-        A_ub=rows, b_ub=np.zeros(rows.shape[0]),
-        A_eq=form.P, b_eq=np.zeros(form.q.size),
-        bounds=(-1.0, 1.0),
-        method="highs",
-    )  # fmt: skip
-    return bool(found.status == 0 and found.fun < -_FALL * (1.0 + np.abs(form.q).max()))
 
 
 def _error(form: SlackForm, x: Array, y: Array) -> float:

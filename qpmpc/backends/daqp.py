@@ -10,7 +10,9 @@ from qpmpc.arrays import Array
 from qpmpc.backends._registry import register
 from qpmpc.backends.base import Backend, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
-from qpmpc.program import QuadraticProgram
+from qpmpc.feasibility import bottomless
+from qpmpc.polish import Polish
+from qpmpc.program import QuadraticProgram, SlackForm
 from qpmpc.status import Status
 
 _SOFT = 8
@@ -23,6 +25,8 @@ _FAR = 1e30
 """What DAQP takes for infinite: a warm row whose bound is truly infinite would turn to NaN."""
 _GAVE_WAY = 2
 """DAQP's flag of an answer in which soft rows give way."""
+_EQUATIONS = 500
+"""Systems of equations that a polish may solve."""
 _ITERATIONS = 1000
 """Its own limit, where none is given."""
 _STATUS = {
@@ -76,6 +80,11 @@ class DaqpBackend(Backend):
         self._soft, self._linear = np.flatnonzero(soft), np.where(soft, qp.linear, 0.0)
         curve = np.where(soft, np.maximum(qp.quadratic, _FLAT * self._linear), np.inf)
         self._give, self._excess = 0.5 / curve, np.where(soft, 2.0 * (curve - qp.quadratic), 0.0)
+        try:
+            self._polish = Polish(qp)
+        except np.linalg.LinAlgError as error:
+            raise BackendSetupError(self.name, "P is not positive semidefinite") from error
+        self._form, self._limits = SlackForm(qp), limits
         self._A, self._rows = np.array(qp.A), np.zeros(qp.m)
         self._corrects = bool(self._excess.any())
         if soft.any():
@@ -86,6 +95,8 @@ class DaqpBackend(Backend):
     def replace_rows(self, A: Array) -> None:
         """Refactor inside DAQP, without new memory; the active set stays."""
         self._A[:] = A
+        self._polish.replace_rows(self._A)
+        self._form.replace_rows(A)
         self._model.update(A=A)
 
     def forget(self) -> None:
@@ -104,7 +115,21 @@ class DaqpBackend(Backend):
         answer = self._answer
         answer.x, answer.y, answer.iterations = x, info["lam"][:rows], info["iterations"]
         answer.status = _STATUS.get(flag, Status.FAILED)
+        if not self._polish.definite:
+            self._finish(answer, q, l, u)
         return answer
+
+    def _finish(self, answer: RawSolution, q: Array, l: Array, u: Array) -> None:  # noqa: E741
+        """Better an answer of proximal steps, which DAQP takes where P is only semidefinite."""
+        if answer.status is Status.SOLVED and self._limits.time is None:
+            self._polish.allow(self._limits.iterations or _EQUATIONS, np.inf)
+            if self._polish(q, l, u, answer.x, answer.y, thorough=True):
+                answer.x, answer.y = self._polish.x, self._polish.y
+        elif answer.status is Status.ITERATION_LIMIT and self._limits == Limits():
+            form = self._form
+            form.update(q, l, u)
+            if bottomless(form.P, form.q, form.A, form.l, form.u):
+                answer.status = Status.UNBOUNDED
 
     def _correct(self, x: Array, l: Array, u: Array) -> tuple[Array, int, Any]:  # noqa: E741
         """Solve again with the curvature that is not in the problem around the slack there is.
