@@ -38,6 +38,8 @@ _WORDS = {
 _HELD = 1e-6
 """How far a hard row of order one may be missed and still be no sign of contradiction."""
 _NEAR = (Status.ITERATION_LIMIT, Status.INACCURATE)
+_LOST = (*_NEAR, Status.FAILED)
+"""What a polish may still mend."""
 _EQUATIONS = 500
 """Systems of equations that a polish may solve."""
 _ABSURD = 1e12
@@ -70,7 +72,7 @@ class ConicBackend(Backend):
         except np.linalg.LinAlgError as error:
             raise BackendSetupError(self.name, "P is not positive semidefinite") from error
         self._definite, self._plain = polish.definite, SlackForm(qp)
-        self._polish = None if self.exact and polish.definite else polish
+        self._polish, self._trusted = polish, self.exact and polish.definite
         self._form = form = self._formulate(qp)
         (m, n), self._n = form.A.shape, qp.n
         self._hard, self._A = np.flatnonzero(np.isinf(qp.linear)), np.array(qp.A)
@@ -130,8 +132,7 @@ class ConicBackend(Backend):
         np.copyto(self._A, A)
         self._form.replace_rows(A)
         self._plain.replace_rows(A)
-        if self._polish is not None:
-            self._polish.replace_rows(self._A)
+        self._polish.replace_rows(self._A)
         self._fill()
 
     def _fill(self) -> None:
@@ -160,10 +161,11 @@ class ConicBackend(Backend):
     def _settle(self, status: Status, q: Array, l: Array, u: Array) -> Status:  # noqa: E741
         """Return the status of the answer, given what the solver says; may better the answer."""
         if status is Status.SOLVED:
-            self._better(q, l, u)
-        elif status in _NEAR and self._better(q, l, u):
+            if not self._trusted:
+                self._better(q, l, u)
+        elif status in _LOST and self._better(q, l, u):
             status = Status.SOLVED
-        elif not (status is Status.INFEASIBLE and self._polish is None):
+        elif not (status is Status.INFEASIBLE and self._trusted):
             status = self._reason(status, q, l, u)
         return status
 
@@ -180,7 +182,7 @@ class ConicBackend(Backend):
             return Status.INFEASIBLE
         if status is Status.INFEASIBLE:  # it is not
             return Status.SOLVED if self._better(q, l, u) else Status.FAILED
-        if status is Status.UNBOUNDED and self._polish is not None and self._polish.definite:
+        if status is Status.UNBOUNDED and self._definite:
             return Status.FAILED
         return status
 
@@ -195,8 +197,11 @@ class ConicBackend(Backend):
     def _better(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
         """Polish the answer of a solver that is not exact; whether it is exact now."""
         answer, polish, limits = self._answer, self._polish, self._limits
-        if polish is None or limits.time is not None or not self._sane():
+        if (limits != Limits() and not self._sane()) or limits.time is not None:
             return False
+        if not self._sane():
+            self._x.fill(0.0)
+            answer.y.fill(0.0)
         polish.allow(limits.iterations or _EQUATIONS, np.inf)
         if not polish(q, l, u, answer.x, answer.y, thorough=True):
             return False
