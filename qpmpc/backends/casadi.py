@@ -27,6 +27,8 @@ from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
 
 _ITERATIONS: frozenset[LimitKind] = frozenset(("iterations",))
+_PATIENCE = 10_000
+"""DAQP's limit of iterations, where none is given; proximal steps count together."""
 _FLAT = 1e-6
 """Least eigenvalue of the Hessian below which DAQP needs proximal steps."""
 _PROXIMAL = 0.005
@@ -64,7 +66,7 @@ class CasadiDaqp(ConicBackend):
         return OneSlack(qp)
 
     def _options(self) -> dict[str, Any]:
-        settings = {"primal_tol": 1e-9, "iter_limit": self._limits.iterations or 1000}
+        settings = {"primal_tol": 1e-9, "iter_limit": self._limits.iterations or _PATIENCE}
         if np.linalg.eigvalsh(self._form.P)[0] < _FLAT:
             settings |= {"eps_prox": _PROXIMAL, "eta_prox": 2e-10}
         return {"daqp": settings}
