@@ -21,6 +21,8 @@ _FLAT = 1e-11
 """Least quadratic penalty beside the linear one, where DAQP wants some. `_correct` takes its effect
 out. With a tenth of it DAQP's warm start ends wrong in some of a thousand QPs whose soft rows give
 way; with this, in none of eleven thousand."""
+_LEAST = 1e-8
+"""The same at least, beside penalties of order one: its inverse costs DAQP digits."""
 _FAR = 1e30
 """What DAQP takes for infinite: a warm row whose bound is truly infinite would turn to NaN."""
 _GAVE_WAY = 2
@@ -78,7 +80,9 @@ class DaqpBackend(Backend):
         if flag < 0:
             raise BackendSetupError(self.name, f"DAQP refused the problem (flag {flag})")
         self._soft, self._linear = np.flatnonzero(soft), np.where(soft, qp.linear, 0.0)
-        curve = np.where(soft, np.maximum(qp.quadratic, _FLAT * self._linear), np.inf)
+        curve = np.where(
+            soft, np.maximum(qp.quadratic, np.maximum(_FLAT * self._linear, _LEAST)), np.inf
+        )
         self._give, self._excess = 0.5 / curve, np.where(soft, 2.0 * (curve - qp.quadratic), 0.0)
         try:
             self._polish = Polish(qp)
