@@ -17,10 +17,10 @@ from qpmpc.status import Status
 
 _SOFT = 8
 """DAQP's mark of a row that may give way."""
-_FLAT = 1e-11
+_FLAT = 1e-10
 """Least quadratic penalty beside the linear one, where DAQP wants some. `_correct` takes its effect
-out. With a tenth of it DAQP's warm start ends wrong in some of a thousand QPs whose soft rows give
-way; with this, in none of eleven thousand."""
+out. With a hundredth of it DAQP ends wrong in some of a thousand QPs whose soft rows give way; with
+this, in none of eleven thousand."""
 _LEAST = 1e-8
 """The same at least, beside penalties of order one: its inverse costs DAQP digits."""
 _FAR = 1e30

@@ -196,21 +196,24 @@ def _dense_optimum(qp: QuadraticProgram, q: Array, l: Array, u: Array) -> Optimu
     square = np.broadcast_to(qp.quadratic, qp.m)[soft] * norms[soft] ** 2
     rows = A / norms[:, None]
     low, high = l / norms, u / norms
+    equal = np.isinf(np.broadcast_to(qp.linear, qp.m)) & (low == high)
+    below, above = np.isfinite(low) & ~equal, np.isfinite(high) & ~equal
     G = np.vstack(
         [
-            np.hstack([rows, select])[np.isfinite(low)],
-            np.hstack([-rows, select])[np.isfinite(high)],
+            np.hstack([rows, select])[equal],
+            np.hstack([rows, select])[below],
+            np.hstack([-rows, select])[above],
             np.hstack([np.zeros((k, n)), np.eye(k)]),
         ]
     )
-    h = np.concatenate([low[np.isfinite(low)], -high[np.isfinite(high)], np.zeros(k)])
+    h = np.concatenate([low[equal], low[below], -high[above], np.zeros(k)])
     curvature = 1e-3 * weight
     slack, z, feasible = np.zeros(k), np.zeros(n), True
     for _ in range(50):
         H = np.diag(np.concatenate([np.ones(n), 2 * square + curvature]))
         g = np.concatenate([T.T @ q, weight - curvature * slack])
         try:
-            found = quadprog.solve_qp(H, -g, G.T.copy(), h)[0]
+            found = quadprog.solve_qp(H, -g, G.T.copy(), h, int(equal.sum()))[0]
         except ValueError:
             feasible = False
             break

@@ -1,5 +1,6 @@
 # ruff: noqa: E741 - l is the name of the lower bounds throughout the library
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter, sleep
 from typing import Any
 
@@ -9,6 +10,8 @@ import pytest
 from qpmpc import (
     BackendSetupError,
     BackendUnavailableError,
+    Limits,
+    ModelError,
     OutputBound,
     Problem,
     QuadraticProgram,
@@ -19,6 +22,7 @@ from qpmpc import (
     available,
     contact_model,
     register,
+    solve,
 )
 from qpmpc.backends import _registry, backend_class
 from qpmpc.scaling import Scaling
@@ -391,3 +395,154 @@ def test_time_of_a_solve_that_fails_counts(liar: Any) -> None:
     solution = Solver(qp, liar(slow, Status.INFEASIBLE)).solve(qp.q, qp.l, qp.u)
     assert solution.status is Status.INFEASIBLE
     assert solution.solve_time >= 0.002
+
+
+# ---- one QP, and its answer in its own units
+
+
+def test_solve_is_a_solver_used_once(liar: Any) -> None:
+    qp = program(linear=30.0)
+    qp = replace(qp, q=np.diag([1e3, 1e-2]) @ [-3.0, 0.4])
+    mine, again = solve(qp), solve(replace(qp, q=-qp.q))
+    solver = Solver(qp, "daqp").solve(qp.q, qp.l, qp.u)
+    for name in ("x", "y", "slack"):
+        np.testing.assert_array_equal(getattr(mine, name), getattr(solver, name))
+        assert not np.shares_memory(getattr(mine, name), getattr(again, name))
+    assert mine.status is Status.SOLVED
+    lie = solve(qp, liar(lambda q, l, u: (q, l)))
+    assert lie.status is Status.INACCURATE
+    with pytest.raises(UnknownNameError):
+        solve(qp, "no-such-backend")
+    with pytest.raises(BackendSetupError, match="has no limit of time"):
+        solve(qp, "piqp", limits=Limits(time=1.0))
+
+
+@pytest.mark.parametrize("linear", [np.inf, 1e-2])
+@pytest.mark.parametrize("backend", ["daqp", "osqp", "clarabel", "piqp"])
+def test_multipliers_are_those_of_the_program_as_it_was_given(backend: str, linear: float) -> None:
+    """Units of variables and rows lie far apart: the conditions hold in all of them."""
+    qp = replace(program(linear), q=np.diag([1e3, 1e-2]) @ [-3.0, 0.4])
+    solution = solve(qp, backend)
+    assert solution.status is Status.SOLVED
+    slope = qp.P @ solution.x + qp.q + qp.A.T @ solution.y
+    np.testing.assert_allclose(slope / np.diag([1e3, 1e-2]).diagonal(), 0.0, atol=1e-6)
+    # x_0 is at its bound, at 1/50 of its unit; or beyond it, for the price of 1/100.
+    given = np.isfinite(linear)
+    np.testing.assert_allclose(
+        solution.y, [1e-2 if given else 2.98 / 50 * 1e3 / 1e3, 0.0], rtol=0.1
+    )
+    assert (solution.slack[0] > 0) == given
+
+
+# ---- what may be applied
+
+
+@pytest.mark.parametrize("status", list(Status))
+@pytest.mark.parametrize(
+    ("error", "usable"), [(0.0, True), (0.9e-3, True), (1.1e-3, False), (np.nan, False)]
+)
+def test_usable_is_what_is_solved_or_nearly(
+    liar: Any, status: Status, error: float, usable: bool
+) -> None:
+    if status is Status.CLIPPED:
+        pytest.skip("said by the controller, never by a backend")
+    qp = QuadraticProgram(EYE, [-0.5, 0.0], EYE, -1.0, 1.0)
+    level = 1.5  # 1 + |q|
+    kind = liar(lambda q, l, u: (np.array([0.5, error * level]), np.zeros(2)), status)
+    solution = Solver(qp, kind).solve(qp.q, qp.l, qp.u)
+    has_answer = status in (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
+    assert solution.usable == (usable and has_answer)
+    if solution.usable:
+        assert solution.residuals.scaled == pytest.approx(error, abs=1e-12)
+
+
+# ---- the second attempt
+
+
+def counting(liar: Any, status: Status, *, warm: bool) -> Any:
+    """A backend that counts its solves and what it has been told to forget."""
+
+    class Counts(liar(lambda q, l, u: (q, l), status)):  # type: ignore[misc]
+        warm_starts, limits, solves, forgotten = warm, frozenset(("iterations", "time")), 0, 0
+        given: Any = None
+
+        def __init__(self, qp: Any, limits: Any) -> None:
+            super().__init__(qp, limits)
+            type(self).given = limits
+
+        def forget(self) -> None:
+            type(self).forgotten += 1
+
+        def solve(self, q: Any, l: Any, u: Any) -> RawSolution:
+            type(self).solves += 1
+            return super().solve(q, l, u)
+
+    return Counts
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.CLIPPED])
+@pytest.mark.parametrize("warm", [False, True])
+def test_second_attempt_is_for_doubtful_answers_of_what_starts_warm(
+    liar: Any, status: Status, warm: bool
+) -> None:
+    qp = QuadraticProgram(EYE, [-3.0, 0.0], EYE, -1.0, 1.0)
+    kind = counting(liar, status, warm=warm)
+    Solver(qp, kind).solve(qp.q, qp.l, qp.u)
+    again = warm and status is not Status.ITERATION_LIMIT  # which was its own to set
+    assert kind.solves == 1 + again
+    assert kind.forgotten == again
+
+
+def test_a_good_answer_needs_no_second_attempt(liar: Any) -> None:
+    qp = QuadraticProgram(EYE, [-3.0, 0.0], EYE, -1.0, 1.0)
+    kind = counting(liar, Status.SOLVED, warm=True)
+    kind.answer = staticmethod(lambda q, l, u: (np.array([1.0, 0.0]), np.array([2.0, 0.0])))
+    assert Solver(qp, kind).solve(qp.q, qp.l, qp.u).status is Status.SOLVED
+    assert (kind.solves, kind.forgotten) == (1, 0)
+
+
+def test_time_is_kept_for_a_second_attempt(liar: Any) -> None:
+    qp = QuadraticProgram(EYE, [-3.0, 0.0], EYE, -1.0, 1.0)
+    for warm, share in ((True, 0.5), (False, 1.0)):
+        kind = counting(liar, Status.FAILED, warm=warm)
+        Solver(qp, kind, limits=Limits(20, 1e-3))
+        assert kind.given == Limits(20, share * 1e-3)
+
+
+def test_forget_reaches_the_backend(liar: Any) -> None:
+    kind = counting(liar, Status.SOLVED, warm=True)
+    Solver(program(), kind).forget()
+    assert kind.forgotten == 1
+
+
+@pytest.mark.parametrize("limits", [Limits(iterations=5), Limits(time=1.0), Limits(5, 1.0)])
+def test_limits_that_a_backend_does_not_have_are_refused(liar: Any, limits: Limits) -> None:
+    with pytest.raises(BackendSetupError, match=r"has no limit of .* \(it has: none\)"):
+        Solver(program(), liar(lambda q, l, u: (q, l)), limits=limits)
+
+
+# ---- what no solver should see
+
+
+@pytest.mark.parametrize("linear", [np.inf, 3.0])
+def test_bounds_that_cross_are_contradictory(liar: Any, linear: float) -> None:
+    qp = QuadraticProgram(EYE, [0.5, 0.0], EYE, -1.0, 1.0, linear)
+    kind = counting(liar, Status.SOLVED, warm=True)
+    solver = Solver(qp, kind)
+    solution = solver.solve(qp.q, np.array([0.3, -1.0]), np.array([0.2, 1.0]))
+    assert solution.status is Status.INFEASIBLE
+    assert kind.solves == 0
+    assert np.isnan(solution.x).all()
+    ours = Solver(qp)
+    nearly = ours.solve(qp.q, np.array([0.2 + 1e-12, -1.0]), np.array([0.2, 1.0]))
+    assert nearly.status is Status.SOLVED
+    assert nearly.x[0] == pytest.approx(0.2 if linear == np.inf else 0.2, abs=1e-9)
+
+
+def test_indefinite_hessian_is_refused_and_rounding_is_not() -> None:
+    with pytest.raises(ModelError, match=r"positive semidefinite.*-1"):
+        Solver(QuadraticProgram(np.diag([1.0, -1.0]), [0, 0], EYE, -1.0, 1.0))
+    nearly = np.diag([1.0, -1e-12])
+    solver = Solver(QuadraticProgram(nearly, [0, 0], EYE, -1.0, 1.0), "clarabel")
+    solution = solver.solve(np.array([-0.5, 0.1]), -np.ones(2), np.ones(2))
+    np.testing.assert_allclose(solution.x, [0.5, -1.0], atol=1e-6)
