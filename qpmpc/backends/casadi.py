@@ -31,7 +31,7 @@ _PATIENCE = 10_000
 """DAQP's limit of iterations, where none is given; proximal steps count together."""
 _FLAT = 1e-6
 """Least eigenvalue of the Hessian below which DAQP needs proximal steps."""
-_PROXIMAL = 1e-4
+_PROXIMAL = 0.005
 """Curvature of these steps. Less takes fewer of them and rounds worse, more the other way."""
 _CLOSE = 1e-8
 """Tolerance of solvers whose answers are polished. Nowhere a relative one: beside a cost full of
@@ -66,9 +66,9 @@ class CasadiDaqp(ConicBackend):
         return OneSlack(qp)
 
     def _options(self) -> dict[str, Any]:
-        settings = {"primal_tol": 1e-10, "iter_limit": self._limits.iterations or _PATIENCE}
+        settings = {"primal_tol": 1e-9, "iter_limit": self._limits.iterations or _PATIENCE}
         if np.linalg.eigvalsh(self._form.P)[0] < _FLAT:
-            settings |= {"eps_prox": _PROXIMAL, "eta_prox": 1e-9}
+            settings |= {"eps_prox": _PROXIMAL, "eta_prox": 2e-10}
         return {"daqp": settings}
 
 

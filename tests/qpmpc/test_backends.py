@@ -692,3 +692,15 @@ def test_nothing_is_printed(
     with suppress(BackendSetupError):
         Solver(flat, kind).solve(np.array([0.0, 1.0]), -no, no)  # without an end
     assert capfd.readouterr() == ("", "")
+
+
+@except_for(HEEDING, {"qpsolvers:piqp": "PIQP prints what it does with a bound of 1e31"})
+@pytest.mark.parametrize("far", [1e12, 1e20, 1e31])
+def test_far_bounds_are_as_good_as_none(
+    kind: type[Backend], far: float, capfd: pytest.CaptureFixture[str]
+) -> None:
+    qp, q = box(), np.array([-3.0, 2.0])
+    solution = Solver(qp, kind).solve(q, np.array([-far, -1.0]), np.array([far, 1.0]))
+    assert solution.status is Status.SOLVED
+    np.testing.assert_allclose(solution.x, [3.0, -1.0], atol=1e-6)
+    assert capfd.readouterr() == ("", "")
