@@ -9,7 +9,7 @@ import numpy as np
 from qpmpc.arrays import Array, Indices, matrix, vector
 from qpmpc.errors import BoundsError, ModelError
 
-_INFINITE = 1e20
+INFINITE = 1e20
 """Size from which a bound is none."""
 
 
@@ -94,7 +94,7 @@ class QuadraticProgram:
 
 
 def _with_infinity(bounds: Array) -> Array:
-    far = np.abs(bounds) >= _INFINITE
+    far = np.abs(bounds) >= INFINITE
     if not far.any():
         return bounds
     result = np.where(far, np.copysign(np.inf, bounds), bounds)

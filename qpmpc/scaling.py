@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 
 from qpmpc.arrays import Array
 from qpmpc.errors import ModelError
-from qpmpc.program import QuadraticProgram
+from qpmpc.program import INFINITE, QuadraticProgram
 
 _CONDITION = 1e12
 """Condition of the Hessian up to which it is worth inverting."""
@@ -76,6 +76,8 @@ class Scaling:
         self.q *= self.c
         np.multiply(self.E, l, out=self.l)
         np.multiply(self.E, u, out=self.u)
+        np.putmask(self.l, l <= -INFINITE, -np.inf)
+        np.putmask(self.u, u >= INFINITE, np.inf)
 
     def rows(self, A: Array) -> Array:
         """Return other rows ``(m, n)`` of the QP, scaled as the first ones are."""

@@ -5,6 +5,7 @@ Backends that stand for themselves see every size; those that are another way to
 there anyway see a few.
 """
 
+import ctypes
 import re
 from collections.abc import Callable
 from contextlib import suppress
@@ -664,6 +665,12 @@ def test_limits_are_taken_or_refused(kind: type[Backend], limit: str) -> None:
 # ---- silence
 
 
+def printed(capfd: pytest.CaptureFixture[str]) -> tuple[str, str]:
+    """What came out, also of solvers in C that have not flushed it yet."""
+    ctypes.CDLL(None).fflush(None)
+    return tuple(capfd.readouterr())
+
+
 @backends
 def test_nothing_is_printed(
     families: Any, coupled: Family, kind: type[Backend], capfd: pytest.CaptureFixture[str]
@@ -691,16 +698,17 @@ def test_nothing_is_printed(
     flat = replace(qp, P=np.diag([1.0, 0.0]))
     with suppress(BackendSetupError):
         Solver(flat, kind).solve(np.array([0.0, 1.0]), -no, no)  # without an end
-    assert capfd.readouterr() == ("", "")
+    assert printed(capfd) == ("", "")
 
 
-@except_for(HEEDING, {"qpsolvers:piqp": "PIQP prints what it does with a bound of 1e31"})
-@pytest.mark.parametrize("far", [1e12, 1e20, 1e31])
+@except_for(HEEDING, {"casadi:piqp": "PIQP prints what it does with a bound of 1e31"})
 def test_far_bounds_are_as_good_as_none(
-    kind: type[Backend], far: float, capfd: pytest.CaptureFixture[str]
+    kind: type[Backend], capfd: pytest.CaptureFixture[str]
 ) -> None:
     qp, q = box(), np.array([-3.0, 2.0])
-    solution = Solver(qp, kind).solve(q, np.array([-far, -1.0]), np.array([far, 1.0]))
-    assert solution.status is Status.SOLVED
-    np.testing.assert_allclose(solution.x, [3.0, -1.0], atol=1e-6)
-    assert capfd.readouterr() == ("", "")
+    solver = Solver(qp, kind)
+    for far in (1e12, 1e20, 1e31):
+        solution = solver.solve(q, np.array([-far, -1.0]), np.array([far, 1.0]))
+        assert solution.status is Status.SOLVED
+        np.testing.assert_allclose(solution.x, [3.0, -1.0], atol=1e-6)
+    assert printed(capfd) == ("", "")
