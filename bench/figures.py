@@ -11,7 +11,7 @@ from scenarios.schedule import BoundName, Schedule
 
 # Okabe and Ito's palette: told apart by everyone.
 _HELD, _CONTROLLED, _SETPOINT = "#D55E00", "#0072B2", "#222222"
-_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#444444")
 _LINES = ("-", "--", ":", "-.")
 _CLOSE = 0.15
 """Time to either side of the instant that is enlarged [s]."""

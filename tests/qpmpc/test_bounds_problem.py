@@ -10,12 +10,14 @@ from qpmpc import (
     LinearModel,
     ModelError,
     OutputBound,
+    Prediction,
     Problem,
     RateBound,
     ShapeError,
     UnknownNameError,
     with_delay,
 )
+from qpmpc.construction import NumpyConstruction
 
 N, N_U = 6, 4
 DELTA, LAMBDA = np.array([1.5, 0.3]), np.array([0.02, 0.1])
@@ -286,3 +288,51 @@ def test_arguments_out_of_range(
 def test_output_bound_must_fit_the_states(case: Any) -> None:
     with pytest.raises(ShapeError, match="output"):
         case(bounds=[OutputBound("speed", np.ones((1, 5)), -1, 1, 1.0)])
+
+
+# ---- commands and decisions
+
+
+@decisions
+@moves
+def test_decision_of_commands_is_what_gives_them(
+    rng: np.random.Generator, case: Any, decision: str, N_u: int
+) -> None:
+    c = case(decision=decision, control_horizon=N_u)
+    for given in range(1, N_u + 1):
+        commands = rng.standard_normal((given, 2))
+        z = c.problem.decide(commands, c.previous)
+        held = np.vstack([commands, np.tile(commands[-1], (N_u - given, 1))])
+        np.testing.assert_allclose(c.commands(z), held, atol=1e-13)
+        np.testing.assert_allclose(c.problem.command(z, c.previous), commands[0], atol=1e-13)
+
+
+# ---- who builds the matrices
+
+
+@decisions
+def test_matrices_come_from_the_construction(case: Any, model: LinearModel, decision: str) -> None:
+    """Prediction of the outputs and of each bounded quantity, and the cost, are asked for."""
+
+    class Spy(NumpyConstruction):
+        def __init__(self) -> None:
+            self.asked: list[str] = []
+
+        def prediction(self, *arguments: Any) -> Prediction:
+            self.asked.append("outputs" if arguments[3] is model.C else "others")
+            assert arguments[:3] == (model, N, N_U)
+            assert arguments[4] == decision
+            return super().prediction(*arguments)
+
+        def cost(self, Theta: Any, delta: Any, lam: Any) -> Any:
+            self.asked.append("cost")
+            np.testing.assert_array_equal(delta, np.tile(DELTA, N))
+            np.testing.assert_array_equal(lam, np.tile(LAMBDA, N_U))
+            P, slope = super().cost(Theta, delta, lam)
+            return 3.0 * P, slope
+
+    spy, settings = Spy(), {"decision": decision, "control_horizon": N_U, "bounds": bounds()}
+    ours, theirs = case(construction=spy, **settings), case(**settings)
+    assert sorted(spy.asked) == ["cost", "others", "outputs"]
+    np.testing.assert_allclose(ours.problem.qp.P, 3.0 * theirs.problem.qp.P, rtol=1e-14)
+    np.testing.assert_array_equal(ours.problem.A, theirs.problem.A)

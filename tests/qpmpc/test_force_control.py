@@ -10,6 +10,7 @@ from qpmpc import (
     BoundsError,
     ControllerConfig,
     ForceController,
+    JointsConfig,
     ModelConfig,
     ModelError,
     ObserverConfig,
@@ -315,6 +316,203 @@ def test_without_a_disturbance_state_there_is_an_offset() -> None:
     for _ in range(1500):
         cell.apply(controller.step(cell.force, cell.velocity, np.full((9, 1), 2.5)).command)
     assert abs(cell.force[0] - 2.5) > 0.01
+
+
+# ---- bounds: margins, moves, joints
+
+
+def ramp_of(config: ControllerConfig, on_own_model: Any, **others: Any) -> Any:
+    """One axis from 2 to 6 N on the controller's own model."""
+    moving = others.pop("moving", ())
+    controller = ForceController(config, ("x",), PERIOD, moving=moving)
+    return on_own_model(controller, [2.0], [6.0], 250, **others)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_margin_keeps_the_force_away_from_its_bound(on_own_model: Any, margin: float) -> None:
+    bounds = BoundsConfig(command=(-100.0, 100.0), force=(0.0, 5.0), force_margin=margin)
+    trace = ramp_of(ControllerConfig(bounds=bounds), on_own_model)
+    assert trace.force.max() <= 5.0 - margin + 1e-6
+    assert trace.force[-1, 0] == pytest.approx(5.0 - margin, abs=1e-3)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.004])
+def test_margin_keeps_the_velocity_away_from_its_bound(on_own_model: Any, margin: float) -> None:
+    bounds = BoundsConfig(velocity=(-0.02, 0.02), velocity_margin=margin)
+    trace = ramp_of(ControllerConfig(bounds=bounds), on_own_model)
+    assert trace.velocity.max() == pytest.approx(0.02 - margin, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["force", "velocity"])
+def test_moved_bound_keeps_its_margin(on_own_model: Any, name: str) -> None:
+    """Free at first; then a cap that closes, step by step ahead, and opens again."""
+    caps = {"force": (4.0, 0.25), "velocity": (0.01, 0.002)}
+    cap, margin = caps[name]
+    bounds = BoundsConfig(command=(-100.0, 100.0), **{f"{name}_margin": margin})
+    controller = ForceController(ControllerConfig(bounds=bounds), ("x",), PERIOD, moving=(name,))
+    assert name in controller.general.problem.rows
+
+    def before(k: int, force: Any, velocity: Any) -> None:
+        if k == 0:
+            upper = np.full((8, 1), np.inf)
+            upper[5:] = cap  # from the sixth step of the horizon on
+            controller.move(name, -cap, upper)
+        elif k == 5:
+            controller.move(name, np.array([-cap]), np.array([cap]))
+        elif k == 150:
+            controller.move(name, -np.inf, np.inf)
+
+    trace = on_own_model(controller, [2.0], [6.0], 400, before=before)
+    seen = getattr(trace, name)[:, 0]
+    assert seen[8:150].max() == pytest.approx(cap - margin, abs=2e-3 * cap)
+    assert seen[150:].max() > 1.2 * cap
+    assert trace.force[-1, 0] == pytest.approx(6.0, abs=1e-2)
+    problem = controller.general.problem
+    controller.move(name, -cap, cap)
+    low, high = problem.l, problem.u
+    problem.update(np.zeros(problem.model.n_states), np.zeros(1), np.zeros((8, 1)))
+    np.testing.assert_allclose((high - low)[problem.rows[name]], 2 * (cap - margin), rtol=1e-12)
+
+
+def test_command_and_rate_can_be_moved(on_own_model: Any) -> None:
+    controller = ForceController(ControllerConfig(), ("x",), PERIOD, moving=("command", "rate"))
+
+    def before(k: int, force: Any, velocity: Any) -> None:
+        controller.move("command", *((-3.0, 3.0) if k < 100 else (-20.0, 20.0)))
+        controller.move("rate", *((-np.inf, np.inf) if k < 100 else (-0.5, 0.5)))
+
+    commands = on_own_model(controller, [2.0], [9.0], 200, before=before).commands[:, 0]
+    assert np.abs(commands[:100]).max() == pytest.approx(3.0)
+    assert np.abs(np.diff(commands[100:])).max() <= 0.5 + 1e-9
+
+
+def test_what_was_not_to_move_does_not(on_own_model: Any) -> None:
+    bounds = BoundsConfig(force=(0.0, 5.0), force_margin=1.0)
+    controller = ForceController(ControllerConfig(bounds=bounds), ("x",), PERIOD)
+    controller.move("force", -1.0, 6.0)  # it has rows, so it can
+    with pytest.raises(UnknownNameError, match="velocity"):
+        controller.move("velocity", -1.0, 1.0)
+    with pytest.raises(BoundsError, match="moving=True"):
+        controller.move("rate", -1.0, 1.0)
+    with pytest.raises(BoundsError, match="margin of 1 on both sides leaves no room"):
+        controller.move("force", 1.0, 2.0)
+    with pytest.raises(BoundsError, match="must contain 0"):
+        controller.move("command", 1.0, 2.0)
+    with pytest.raises(UnknownNameError, match="moving bound 'tangential'"):
+        ForceController(ControllerConfig(), ("x",), PERIOD, moving=("tangential",))
+
+
+def test_a_velocity_that_will_be_bounded_is_known_from_the_start() -> None:
+    """The disturbance models that need no tool velocity get it as a state of its own."""
+    for kind in ("constant", "ramp"):
+        config = configured(kind)
+        plain = ForceController(config, ("x",), PERIOD).general.problem.model
+        moving = ForceController(config, ("x",), PERIOD, moving=("velocity",)).general
+        assert moving.problem.model.n_states == plain.n_states + 1
+        assert moving.observer.gain.shape[1] == 2
+
+
+@dataclass
+class Turning:
+    """Joints whose maps turn with time: two arms' worth of speeds and torques on two axes."""
+
+    k: int = 0
+
+    @property
+    def speed_gain(self) -> np.ndarray:
+        angle = 0.01 * self.k
+        return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) * 2.0
+
+    @property
+    def speed_offset(self) -> np.ndarray:
+        return np.array([0.005, -0.01])
+
+    @property
+    def command_gain(self) -> np.ndarray:
+        return np.array([[0.5, 0.1], [0.2, -0.4]]) * (1.0 + 0.002 * self.k)
+
+    @property
+    def velocity_gain(self) -> np.ndarray:
+        return np.array([[2.0, 0.0], [1.0, -3.0]])
+
+    @property
+    def force_gain(self) -> np.ndarray:
+        return np.array([[0.1, 0.2], [0.0, 0.3]])
+
+    @property
+    def torque_offset(self) -> np.ndarray:
+        return np.array([0.3, -0.2])
+
+    @property
+    def speed_limit(self) -> np.ndarray:
+        return np.array([0.2, 0.3])
+
+    @property
+    def torque_limit(self) -> np.ndarray:
+        return np.array([10.0, 8.0])
+
+    def speed(self, velocity: np.ndarray) -> np.ndarray:
+        return self.speed_gain @ velocity + self.speed_offset
+
+    def torque(self, command: np.ndarray, velocity: np.ndarray, force: np.ndarray) -> np.ndarray:
+        moved = self.command_gain @ command + self.velocity_gain @ velocity
+        return moved + self.force_gain @ force + self.torque_offset
+
+
+def joint_loop(on_own_model: Any, **shares: float) -> tuple[np.ndarray, np.ndarray, Any]:
+    """Joint speeds and torques over their limits, ``(cycles, 2)``, while two axes go 4 N up."""
+    joints, speeds, torques = Turning(), [], []
+    config = ControllerConfig(bounds=BoundsConfig(joints=JointsConfig(**shares)))
+    controller = ForceController(config, ("x", "y"), PERIOD, joints=joints)
+    views = []
+
+    def before(k: int, force: Any, velocity: Any) -> None:
+        joints.k = k
+        views.append((force, velocity))
+        if controller.bounds_joints:
+            controller.view(joints)
+
+    trace = on_own_model(controller, [2.0, 3.0], [6.0, -1.0], 250, before=before)
+    for k, ((force, velocity), step) in enumerate(zip(views, trace.steps, strict=True)):
+        now = replace(joints, k=k)
+        speeds.append(now.speed(velocity) / joints.speed_limit)
+        torques.append(now.torque(step.command, velocity, force) / joints.torque_limit)
+    return np.array(speeds), np.array(torques), trace
+
+
+def test_joint_speeds_and_torques_are_bounded_as_the_arm_moves(on_own_model: Any) -> None:
+    """Speeds are held where they are measured, torques where the command makes them."""
+    speeds, torques, free = joint_loop(on_own_model)
+    assert np.abs(speeds).max() > 0.5
+    assert np.abs(torques).max() > 0.35
+    held, _, trace = joint_loop(on_own_model, speed=0.3)
+    assert np.abs(held[3:]).max() == pytest.approx(0.3, abs=5e-3)  # the map turns meanwhile
+    _, held, _ = joint_loop(on_own_model, torque=0.25)
+    assert np.abs(held).max() == pytest.approx(0.25, abs=1e-6)
+    for run in (free, trace):
+        np.testing.assert_allclose(run.force[-1], [6.0, -1.0], atol=1e-2)
+
+
+def test_joints_are_looked_at_where_they_are_bounded() -> None:
+    def make(**shares: float) -> ForceController:
+        config = ControllerConfig(bounds=BoundsConfig(joints=JointsConfig(**shares)))
+        return ForceController(config, ("x", "y"), PERIOD, joints=Turning())
+
+    assert not make().bounds_joints
+    assert set(make().general.problem.rows) == {"command"}
+    for shares, names in (
+        ({"speed": 1.0}, {"joint_speed"}),
+        ({"torque": 1.0}, {"joint_torque"}),
+        ({"speed": 1.0, "torque": 1.0}, {"joint_speed", "joint_torque"}),
+    ):
+        controller = make(**shares)
+        assert controller.bounds_joints
+        assert set(controller.general.problem.rows) == {"command"} | names
+        controller.view(Turning(7))
+        assert controller.general.problem.rows_changed
+    config = ControllerConfig(bounds=BoundsConfig(joints=JointsConfig(speed=1.0)))
+    with pytest.raises(BoundsError, match="tells nothing about its joints"):
+        ForceController(config, ("x",), PERIOD)
 
 
 # ---- the rest

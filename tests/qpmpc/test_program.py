@@ -1,4 +1,5 @@
 # ruff: noqa: E741 - l is the name of the lower bounds throughout the library
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -6,30 +7,8 @@ import pytest
 import quadprog
 
 from qpmpc import BoundsError, ModelError, QuadraticProgram, ShapeError
+from qpmpc.feasibility import contradictory
 from qpmpc.program import SlackForm
-
-
-def random_program(
-    rng: np.random.Generator, n: int, m: int, hard: int, *, quadratic: bool = False
-) -> QuadraticProgram:
-    """A program that x = 0 keeps feasible in its hard rows, with bounds on one or both sides."""
-    root = rng.standard_normal((n, n))
-    l, u = -rng.random(m), rng.random(m)
-    l[hard:] += rng.uniform(-1, 1, m - hard)
-    u[hard:] = l[hard:] + 2 * rng.random(m - hard)
-    l[rng.random(m) < 0.2] = -np.inf
-    linear = np.where(np.arange(m) < hard, np.inf, 3 * rng.random(m) + 0.1)
-    square = rng.random(m) if quadratic else np.zeros(m)
-    order = rng.permutation(m)  # hard and soft rows in any order
-    return QuadraticProgram(
-        root @ root.T + 0.3 * np.eye(n),
-        3 * rng.standard_normal(n),
-        rng.standard_normal((m, n)),
-        l[order],
-        u[order],
-        linear[order],
-        square[order],
-    )
 
 
 def violation(qp: QuadraticProgram, x: np.ndarray) -> np.ndarray:
@@ -50,7 +29,9 @@ seeds = pytest.mark.parametrize("seed", range(12))
 
 
 @seeds
-def test_reference_solver_of_these_tests_finds_the_minimum(seed: int, optimum: Any) -> None:
+def test_reference_solver_of_these_tests_finds_the_minimum(
+    random_program: Any, optimum: Any, seed: int
+) -> None:
     """No point of a grid of directions and lengths around it is better (the QP is convex)."""
     rng = np.random.default_rng(seed)
     qp = random_program(rng, 2, 6, 2, quadratic=seed % 2 == 0)
@@ -64,7 +45,9 @@ def test_reference_solver_of_these_tests_finds_the_minimum(seed: int, optimum: A
 
 
 @seeds
-def test_slack_form_prices_every_point_like_the_soft_program(seed: int) -> None:
+def test_slack_form_prices_every_point_like_the_soft_program(
+    random_program: Any, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     qp = random_program(rng, 3, 8, 3, quadratic=True)
     form, soft = SlackForm(qp), qp.soft
@@ -85,7 +68,7 @@ def test_slack_form_prices_every_point_like_the_soft_program(seed: int) -> None:
 
 @seeds
 def test_slack_form_and_its_folded_multipliers_solve_the_soft_program(
-    seed: int, optimum: Any
+    random_program: Any, optimum: Any, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
     qp = random_program(rng, 3, 8, 3, quadratic=True)
@@ -111,7 +94,7 @@ def test_slack_form_and_its_folded_multipliers_solve_the_soft_program(
     np.testing.assert_allclose(y[inside], 0.0, atol=1e-7)
 
 
-def test_update_moves_the_vectors_alone(rng: np.random.Generator) -> None:
+def test_update_moves_the_vectors_alone(rng: np.random.Generator, random_program: Any) -> None:
     qp = random_program(rng, 3, 7, 3)
     form, other = SlackForm(qp), random_program(rng, 3, 7, 3)
     P, A = form.P.copy(), form.A.copy()
@@ -124,8 +107,25 @@ def test_update_moves_the_vectors_alone(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(form.A, A)
 
 
+@pytest.mark.parametrize("hard", [0, 3, 7])
+def test_replaced_rows_are_those_of_a_form_made_so(
+    rng: np.random.Generator, random_program: Any, hard: int
+) -> None:
+    qp = random_program(rng, 3, 7, hard)
+    other = replace(qp, A=rng.standard_normal((7, 3)))
+    form, fresh = SlackForm(qp), SlackForm(other)
+    A, vectors = form.A, [form.q.copy(), form.l.copy(), form.u.copy()]
+    form.replace_rows(np.array(other.A))
+    assert form.A is A
+    np.testing.assert_array_equal(form.A, fresh.A)
+    for ours, before in zip((form.q, form.l, form.u), vectors, strict=True):
+        np.testing.assert_array_equal(ours, before)
+
+
 @pytest.mark.parametrize("hard", [0, 5])
-def test_programs_that_are_all_soft_or_all_hard(rng: np.random.Generator, hard: int) -> None:
+def test_programs_that_are_all_soft_or_all_hard(
+    rng: np.random.Generator, random_program: Any, hard: int
+) -> None:
     qp = random_program(rng, 2, 5, hard)
     form = SlackForm(qp)
     slack = 5 - hard
@@ -179,3 +179,42 @@ def test_program_refuses(changed: dict[str, Any], error: type[Exception], text: 
     }
     with pytest.raises(error, match=text):
         QuadraticProgram(**(arguments | changed))
+
+
+@pytest.mark.parametrize("far", [1e20, 3e25, np.inf])
+def test_bounds_from_1e20_on_are_none(far: float) -> None:
+    qp = QuadraticProgram(np.eye(2), [0, 0], np.eye(2), [-far, -9e19], [far, 1.0])
+    np.testing.assert_array_equal(qp.l, [-np.inf, -9e19])
+    np.testing.assert_array_equal(qp.u, [np.inf, 1.0])
+
+
+def test_program_needs_a_variable() -> None:
+    with pytest.raises(ModelError, match="at least one variable"):
+        QuadraticProgram(np.zeros((0, 0)), [], np.zeros((1, 0)), -1.0, 1.0)
+
+
+# ---- rows that contradict each other
+
+
+def test_rows_contradict_where_no_point_meets_all_of_them(rng: np.random.Generator) -> None:
+    """A point that meets them is known, until one row is moved beyond what the others allow."""
+    for _ in range(40):
+        A, x = rng.standard_normal((6, 3)), rng.standard_normal(3)
+        A[5] = A[0] + A[1]
+        l, u = A @ x - rng.random(6), A @ x + rng.random(6)
+        l[2], u[3] = -np.inf, np.inf
+        assert not contradictory(A, l, u)
+        l[5], u[5] = u[0] + u[1] + 1e-3, np.inf
+        assert contradictory(A, l, u)
+        l[5] = u[0] + u[1] - 1e-3  # now a corner is left
+        assert not contradictory(A[[0, 1, 5]], l[[0, 1, 5]], u[[0, 1, 5]])
+
+
+def test_rows_that_bound_nothing_or_touch_nothing() -> None:
+    free = np.full(2, np.inf)
+    assert not contradictory(np.eye(2), -free, free)
+    assert not contradictory(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    assert not contradictory(np.zeros((1, 2)), np.array([-1.0]), np.array([1.0]))
+    assert contradictory(np.zeros((1, 2)), np.array([1.0]), np.array([2.0]))
+    far = np.array([1e6, -1e6])
+    assert not contradictory(np.eye(2), far, far)
