@@ -179,6 +179,7 @@ def test_more_pressure_allows_more(on_own_model: Any) -> None:
         )
         room = 0.3 * -trace.force[:, 2]
         assert (np.hypot(*trace.force[:, :2].T) <= room + 1e-3).all()
+        assert max(step.slack["tangential"].max() for step in trace.steps) < 1e-2
         ends[pressure] = trace.force[-1, 0]
     assert ends[5.0] == pytest.approx(0.3 * 5.0 * np.cos(np.pi / 8), abs=0.01)
     assert ends[10.0] == pytest.approx(2 * ends[5.0], abs=0.01)
