@@ -8,6 +8,9 @@ all the same. So the statistics are only read where a solver did not succeed.
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,6 +49,23 @@ _ABSURD = 1e12
 """Size of a variable of order one that can only be what was in memory before."""
 
 
+class _Nowhere(io.TextIOBase):
+    """A stream that forgets what is written to it."""
+
+    def write(self, text: str) -> int:
+        return len(text)
+
+
+_NOWHERE = _Nowhere()
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Drop what CasADi hands to Python's standard streams."""
+    with redirect_stdout(_NOWHERE), redirect_stderr(_NOWHERE):
+        yield
+
+
 class ConicBackend(Backend):
     """A solver behind ``casadi.conic``; a subclass says which, how it is set, what it needs."""
 
@@ -56,6 +76,8 @@ class ConicBackend(Backend):
     """What CasADi calls the solver."""
     words: ClassVar[dict[str, Status]] = _WORDS
     """What the solver says of how it ended."""
+    prints: ClassVar[bool] = False
+    """Whether it prints whatever it is told; CasADi hands that to Python's standard output."""
     exact: ClassVar[bool] = False
     """Whether it ends exactly or not at all: then its answers need no polish and its "infeasible"
     no proof."""
@@ -112,11 +134,20 @@ class ConicBackend(Backend):
         if not ca.has_conic(self.plugin):
             raise BackendSetupError(self.name, f"this build of CasADi has no '{self.plugin}'")
         try:
-            solver = ca.conic("qp", self.plugin, shapes, _COMMON | self._options())
-            made: Any = solver.buffer()
+            with _silence() if self.prints else nullcontext():
+                solver = ca.conic("qp", self.plugin, shapes, _COMMON | self._options())
+                made: Any = solver.buffer()
         except RuntimeError as error:
             raise BackendSetupError(self.name, str(error).splitlines()[-1]) from error
         self._buffer, self._run = made
+        if self.prints:
+            run = self._run
+
+            def quietly() -> None:
+                with _silence():
+                    run()
+
+            self._run = quietly
         given = {
             "h": self._h, "g": form.q, "a": self._a, "lba": form.l, "uba": form.u,
             "lbx": form.lower, "ubx": self._upper,
@@ -161,8 +192,8 @@ class ConicBackend(Backend):
     def _settle(self, status: Status, q: Array, l: Array, u: Array) -> Status:  # noqa: E741
         """Return the status of the answer, given what the solver says; may better the answer."""
         if status is Status.SOLVED:
-            if not self._trusted:
-                self._better(q, l, u)
+            if not self._trusted and not self._better(q, l, u) and self._endless(q, l, u):
+                status = Status.UNBOUNDED
         elif status in _LOST and self._better(q, l, u):
             status = Status.SOLVED
         elif not (status is Status.INFEASIBLE and self._trusted):

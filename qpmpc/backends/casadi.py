@@ -1,18 +1,15 @@
 """Solvers behind CasADi: ``casadi`` is DAQP, ``casadi:<plugin>`` another one that its wheel ships.
 
 The force controller's matrices come from CasADi's differentiation too (`qpmpc.symbolic`). Of the
-plugins in the wheel these are left out: clp and cbc, which want a linear program; fatrop, which
-prints; superscs, which gives no multipliers; qrqp, which calls wrong answers optimal where soft
-rows give way; ipqp, which prints and ends in NaN there; highs, which gives up on one or two QPs in
-a hundred and counts the time of all solves against its limit of time; hpipm, which runs into its
-limit of iterations on problems of one stage.
+plugins in the wheel these are left out: clp and cbc, which want a linear program; superscs, which
+gives no multipliers; fatrop, which prints past every redirection; hpipm, which runs into its limit
+of iterations on problems of one stage. Some of the others fail now and then, and say so in their
+summary; the library's check sees it.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
-from contextlib import redirect_stdout
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,16 +33,6 @@ _PROXIMAL = 0.005
 _CLOSE = 1e-8
 """Tolerance of solvers whose answers are polished. Nowhere a relative one: beside a cost full of
 penalties it would be wide."""
-
-
-class _Nowhere(io.TextIOBase):
-    """A stream that forgets what is written to it."""
-
-    def write(self, text: str) -> int:
-        return len(text)
-
-
-_NOWHERE = _Nowhere()
 
 
 class CasadiDaqp(ConicBackend):
@@ -81,6 +68,7 @@ class CasadiQpoases(ConicBackend):
     limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS  # it passes over its limit of time
     plugin: ClassVar[str] = "qpoases"
     exact: ClassVar[bool] = True
+    prints: ClassVar[bool] = True  # its licence, and its limits when it meets them
 
     def _formulate(self, qp: QuadraticProgram) -> Form:
         return OneSlack(qp)
@@ -90,19 +78,6 @@ class CasadiQpoases(ConicBackend):
         if self._limits.iterations:
             options["nWSR"] = self._limits.iterations
         return options
-
-    def _open(self) -> None:
-        # Its constructor prints the licence, and later it prints when it meets its limit, whatever
-        # it has been told. CasADi hands it all to Python's standard output.
-        with redirect_stdout(_NOWHERE):
-            super()._open()
-        run = self._run
-
-        def quietly() -> None:
-            with redirect_stdout(_NOWHERE):
-                run()
-
-        self._run = quietly
 
     def forget(self) -> None:
         """Make the solver anew: the active set is in it."""
@@ -195,6 +170,60 @@ class CasadiOsqp(ConicBackend):
         return super()._settle(status, q, l, u)
 
 
+class CasadiQrqp(ConicBackend):
+    """CasADi's own active-set solver, from cold: from warm it goes astray."""
+
+    name: ClassVar[str] = "casadi:qrqp"
+    summary: ClassVar[str] = "CasADi's own active set, cold, polished; fails at times"
+    limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS
+    plugin: ClassVar[str] = "qrqp"
+    prints: ClassVar[bool] = True
+
+    def _formulate(self, qp: QuadraticProgram) -> Form:
+        return TwoSlacks(qp)
+
+    def _options(self) -> dict[str, Any]:
+        quiet = {"print_iter": False, "print_header": False, "print_info": False}
+        return quiet | {"max_iter": self._limits.iterations or 200}
+
+
+class CasadiIpqp(ConicBackend):
+    """CasADi's own interior-point solver."""
+
+    name: ClassVar[str] = "casadi:ipqp"
+    summary: ClassVar[str] = "CasADi's own interior point, cold, polished; fails at times"
+    limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS
+    plugin: ClassVar[str] = "ipqp"
+    prints: ClassVar[bool] = True
+
+    def _formulate(self, qp: QuadraticProgram) -> Form:
+        return TwoSlacks(qp)
+
+    def _options(self) -> dict[str, Any]:
+        quiet = {"print_iter": False, "print_header": False, "print_info": False}
+        return quiet | {"max_iter": self._limits.iterations or 200}
+
+
+class CasadiHighs(ConicBackend):
+    """HiGHS' active-set solver."""
+
+    name: ClassVar[str] = "casadi:highs"
+    summary: ClassVar[str] = (
+        "HiGHS behind CasADi, active set, cold, polished; takes ms, fails at times"
+    )
+    limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS
+    plugin: ClassVar[str] = "highs"
+    prints: ClassVar[bool] = True
+
+    def _formulate(self, qp: QuadraticProgram) -> Form:
+        return TwoSlacks(qp)
+
+    def _options(self) -> dict[str, Any]:
+        # No limit of time: HiGHS counts it over all solves of an object.
+        iterations = self._limits.iterations or 2000
+        return {"highs": {"output_flag": False, "qp_iteration_limit": iterations}}
+
+
 class CasadiIpopt(ConicBackend):
     """IPOPT, through CasADi's way of handing a QP to a solver of nonlinear programs."""
 
@@ -221,11 +250,14 @@ class CasadiIpopt(ConicBackend):
 _KINDS: dict[str, type[ConicBackend]] = {
     "": CasadiDaqp,
     "daqp": CasadiDaqp,
+    "highs": CasadiHighs,
+    "ipqp": CasadiIpqp,
     "nlpsol": CasadiIpopt,
     "osqp": CasadiOsqp,
     "piqp": CasadiPiqp,
     "proxqp": CasadiProxqp,
     "qpoases": CasadiQpoases,
+    "qrqp": CasadiQrqp,
 }
 
 

@@ -41,11 +41,14 @@ def silence(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
 def test_variants() -> None:
     assert NAMES == [
         "casadi",
+        "casadi:highs",
+        "casadi:ipqp",
         "casadi:nlpsol",
         "casadi:osqp",
         "casadi:piqp",
         "casadi:proxqp",
         "casadi:qpoases",
+        "casadi:qrqp",
     ]
     for info in available():
         if info.name in NAMES:
