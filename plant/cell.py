@@ -102,7 +102,7 @@ class Cell:
         self._surface = data.site("heart_surface").xpos
         self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
-        self._delay = flaws.delay
+        self._delay, self._resolution = flaws.delay, flaws.command_resolution
         if config.contact.gap > 0:
             self._place(motion.position[0] + [0.0, 0.0, config.contact.gap], np.zeros(3))
         else:
@@ -152,6 +152,8 @@ class Cell:
             raise PlantError(f"the motion ended after {self.cycles} cycles")
         if not math.isfinite(sum(command.tolist())):
             raise PlantError(f"command {command} at t = {self._cycle * self.period:.3f} s")
+        if self._resolution:
+            command = np.rint(command / self._resolution) * self._resolution
         wanted = self._inner.torque(command, self._read)
         torque = np.minimum(np.maximum(wanted, -self._limit), self._limit)
         self._saturated = bool(np.count_nonzero(torque != wanted))

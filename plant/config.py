@@ -64,6 +64,8 @@ class ImperfectionConfig:
     """Time constant of the first-order lag from torque command to torque [s]."""
     delay: Annotated[int, Ge(0), Le(20)] = 1
     """Whole control cycles between a command and the torque that it causes [cycles]."""
+    command_resolution: Annotated[float, Ge(0), Lt(1)] = 0.001
+    """Commands reach the inner loop as whole multiples of this [m/s^2]; 0: as they are."""
 
 
 @dataclass(frozen=True)

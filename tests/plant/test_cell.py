@@ -283,6 +283,19 @@ def test_torques_are_cut_at_their_limits_and_it_is_told(perfect, make_cell, stil
     assert np.array_equal(on_limit, violent.saturated)
 
 
+def test_commands_reach_the_inner_loop_in_steps(perfect, make_cell, still, drive):
+    cell = perfect(command_resolution=0.25)
+
+    def run(command):
+        return drive(make_cell(cell, still(20)), command)
+
+    assert run(1.1).equals(run(1.0))
+    assert run(-0.13).equals(run(-0.25))
+    assert run(0.12).equals(run(0.0))
+    assert not run(1.2).equals(run(1.0))
+    assert not drive(make_cell(perfect(), still(20)), 1.1).equals(run(1.1))
+
+
 # --- records and seeds ---------------------------------------------------------------------------
 
 

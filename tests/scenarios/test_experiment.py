@@ -262,24 +262,22 @@ def test_with_loose_bounds_every_backend_gives_the_analytic_command(backend, ana
     assert {str(step.status) for step in steps} == {"solved"}
 
 
-CALM = ("cell.imperfections.friction=0.0", "cell.sensor.model=ideal")
-"""Friction and the sensor's steps turn rounding into other noise: over 2 s, into 2 % of the RMS."""
-
-
 @pytest.fixture(scope="module")
-def calm(simulate):
-    return simulate("paper", *CALM, still=False, duration=0.6, backend="analytic")
+def closed_form(simulate):
+    return simulate("paper", still=False, duration=0.6, backend="analytic")
 
 
 @pytest.mark.parametrize("backend", MAIN[1:])
-def test_on_paper_every_backend_is_as_good_as_the_closed_form(backend, calm, simulate):
-    given = simulate("paper", *CALM, still=False, duration=0.6, backend=backend)
-    largest = np.abs(calm.log.command).max()
+def test_on_paper_every_backend_is_as_good_as_the_closed_form(backend, closed_form, simulate):
+    """With all of friction, noise and the sensor's steps, which would turn rounding into other
+    noise if commands had no resolution."""
+    given = simulate("paper", still=False, duration=0.6, backend=backend)
+    largest = np.abs(closed_form.log.command).max()
     assert largest > 3.0  # a beat
-    assert np.abs(given.log.command - calm.log.command).max() < 1e-6 * largest
+    assert np.abs(given.log.command - closed_form.log.command).max() < 1e-6 * largest
     for axis, figures in given.summary["axes"].items():
-        expected = calm.summary["axes"][axis]["compensated"]["rms"]
-        assert figures["compensated"]["rms"] == pytest.approx(expected, rel=1e-3)
+        expected = closed_form.summary["axes"][axis]["compensated"]["rms"]
+        assert figures["compensated"]["rms"] == pytest.approx(expected, rel=1e-2)
     assert given.summary["status"] == {"solved": 600}
 
 
