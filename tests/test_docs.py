@@ -46,6 +46,24 @@ def test_links_of_a_page_lead_somewhere(page: Path) -> None:
             assert anchor in {_anchor(heading) for heading in headings}, f"{path}#{anchor}"
 
 
+def test_the_table_of_backends_says_what_their_traits_say() -> None:
+    known = {info.name: info for info in available()}
+    told: set[str] = set()
+    for line in (ROOT / "docs" / "backends.md").read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        names = re.findall(r"`([^`]+)`", cells[0])
+        if len(cells) != 5 or not names or names[0] not in known:
+            continue
+        for name in names:
+            told.add(name)
+            info = known[name]
+            assert cells[2].startswith("yes") == info.warm_starts, f"{name}: warm start"
+            if name != "analytic":  # it takes no iteration
+                limits = ", ".join(sorted(info.limits)) or "none"
+                assert cells[3] == limits, f"{name}: limits"
+    assert told == {name for name in known if not name.startswith("qpsolvers")}
+
+
 def _anchor(heading: str) -> str:
     """What GitHub makes of a heading."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
