@@ -78,9 +78,13 @@ def _perfect(**changes: Any) -> CellConfig:
     config = CellConfig(
         sensor=SensorConfig("ideal"),
         imperfections=ImperfectionConfig(
-            inertia_error=0.0, friction=0.0, friction_compensation=0.0, torque_lag=0.0, delay=0,
+            inertia_error=0.0,
+            friction=0.0,
+            friction_compensation=0.0,
+            torque_lag=0.0,
+            delay=0,
             command_resolution=0.0,
-        ),  # fmt: skip
+        ),
     )
     return _changed(config, **changes)
 
