@@ -126,10 +126,14 @@ class ForceController:
             velocity: the tool's velocity from its encoders, ``(n_axes,)`` [m/s].
             preview: setpoint s(k) ... s(k+N), ``(N + 1, n_axes)`` [N].
         """
+        return self.general.step(self.measured(force, velocity), preview)
+
+    def measured(self, force: Array, velocity: Array) -> Array:
+        """Return force and velocity as the observer takes them, valid until the next call."""
         self._measurement[:, 0] = force
         if self._measurement.shape[1] > 1:
             self._measurement[:, 1] = velocity
-        return self.general.step(self._measurement.reshape(-1), preview)
+        return self._measurement.reshape(-1)
 
     def prepare(self) -> None:
         """Do what needs no measurement, after the command has been applied."""
