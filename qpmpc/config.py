@@ -132,6 +132,9 @@ class SolverConfig:
     time_limit: Annotated[float, Gt(0)] | None = None
     """Time after which the solver stops, an error if it has no such limit [s]; none if not
     given."""
+    deadline: Annotated[float, Gt(0)] | None = None
+    """Time from the start of a step by which its answer has to be there [s]; one that is later is
+    not applied, the last plan goes on. None if not given: an answer is applied however late."""
     smallest_part: Annotated[int, Ge(1)] | None = None
     """Variables that make a component of the QP worth a call of its own, smaller ones are packed
     together; the backend's own figure if not given."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, all_finite
 from qpmpc.backends import Backend, Limits
-from qpmpc.errors import ShapeError
+from qpmpc.errors import ModelError, ShapeError
 from qpmpc.fallback import Fallback, Source
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
@@ -92,6 +92,7 @@ class Controller:
         limits: Limits = NO_LIMITS,
         *,
         smallest_part: int | None = None,
+        deadline: float | None = None,
     ) -> None:
         """Join the parts; the backend is set up and primed here.
 
@@ -102,10 +103,14 @@ class Controller:
             backend: a registered name or a backend class.
             limits: when the backend has to stop, in each cycle.
             smallest_part: see `Solver`.
+            deadline: of every step, from its start [s]; none if not given. See `step`.
 
         Raises:
+            ModelError: the deadline is not positive.
             UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`.
         """
+        if deadline is not None and not deadline > 0:
+            raise ModelError(f"deadline must be positive, got {deadline} s")
         self.problem, self.observer, self.reference = problem, observer, reference
         self.solver = Solver(
             problem.qp,
@@ -116,6 +121,8 @@ class Controller:
             smallest_part=smallest_part,
         )
         self._fallback = Fallback(problem)
+        self.deadline = np.inf if deadline is None else deadline
+        """Time from the start of a step by which its answer has to be there [s]; infinite: none."""
         n_u, n_y = problem.model.n_inputs, problem.model.n_outputs
         self._n_u, self._shape = n_u, (problem.horizon, n_y)
         self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
@@ -139,7 +146,7 @@ class Controller:
             self.observer.predict(self.command)
             self._prepared = True
 
-    def step(self, measurement: Array, preview: Array) -> Step:
+    def step(self, measurement: Array, preview: Array, *, deadline: float | None = None) -> Step:
         """Decide the command of this cycle.
 
         Where no usable answer comes (NaN measured, infeasible, limit reached) the status tells why
@@ -147,17 +154,26 @@ class Controller:
         command is held. What is not finite is not blended into the estimate: the observer goes on
         by prediction alone until a measurement comes.
 
+        The same stands in where the answer is not there by the deadline (``Status.LATE``), and
+        where nothing is left of it no solve is begun. A late answer is not remembered as a plan
+        either: it rests on a first move that was never made, while the plan before it goes on as
+        it was made. The observer is told what was applied, as ever. Without a deadline no clock
+        decides anything.
+
         Bounds that move and maps that change are set on `problem` before (`Problem.move`,
         `Problem.map`).
 
         Args:
             measurement: what the observer measures, ``(n_measured,)``.
             preview: setpoint s(k) ... s(k+N), ``(N + 1, n_outputs)``.
+            deadline: what is left from now until the answer has to be there [s], not positive if
+                nothing is; the controller's own `deadline` if not given.
 
         Raises:
             ShapeError: an argument has another shape.
         """
         begin = perf_counter()
+        due = begin + (self.deadline if deadline is None else deadline)
         if measurement.shape != self._measured or preview.shape != self._previewed:
             self._complain(measurement, preview)
         self.prepare()
@@ -167,13 +183,18 @@ class Controller:
         np.dot(self._C, state, out=self._output)
         problem.update(state, previous, self.reference(preview, self._output))
         updated, built = perf_counter(), 0.0
-        if problem.rows_changed:
-            self.solver.replace_rows(problem.A)
-            problem.rows_changed = False
-            built = perf_counter() - updated
-        solution = self.solver.solve(problem.q, problem.l, problem.u)
+        if updated > due:
+            solution = self.solver.no_answer()
+        else:
+            if problem.rows_changed:
+                self.solver.replace_rows(problem.A)
+                problem.rows_changed = False
+                built = perf_counter() - updated
+            solution = self.solver.solve(problem.q, problem.l, problem.u)
         status = solution.status if measured else Status.FAILED
-        if measured and solution.usable:
+        if measured and perf_counter() > due:
+            status = Status.LATE
+        if measured and status is not Status.LATE and solution.usable:
             source, decision = Source.SOLUTION, solution.x.copy()
             violation = solution.slack.copy()
             self._fallback.remember(decision, previous)

@@ -108,8 +108,9 @@ class ForceController:
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
         limits = Limits(config.solver.max_iterations, config.solver.time_limit)
         self.general = Controller(
-            problem, observer, reference, kind, limits, smallest_part=config.solver.smallest_part
-        )
+            problem, observer, reference, kind, limits,
+            smallest_part=config.solver.smallest_part, deadline=config.solver.deadline,
+        )  # fmt: skip
         self._measurement = np.zeros((count, axis.measured.shape[0]))
 
     def reset(self, force: Array) -> None:
@@ -118,18 +119,25 @@ class ForceController:
         state[:, 0] = force
         self.general.reset(state.ravel())
 
-    def step(self, force: Array, velocity: Array, preview: Array) -> Step:
+    def step(
+        self, force: Array, velocity: Array, preview: Array, *, deadline: float | None = None
+    ) -> Step:
         """Decide the acceleration command of this cycle.
 
         Args:
             force: measured contact force, ``(n_axes,)`` [N].
             velocity: the tool's velocity from its encoders, ``(n_axes,)`` [m/s].
             preview: setpoint s(k) ... s(k+N), ``(N + 1, n_axes)`` [N].
+            deadline: what is left until the answer has to be there [s], see `Controller.step`.
         """
+        return self.general.step(self.measured(force, velocity), preview, deadline=deadline)
+
+    def measured(self, force: Array, velocity: Array) -> Array:
+        """Return force and velocity as the observer takes them, valid until the next call."""
         self._measurement[:, 0] = force
         if self._measurement.shape[1] > 1:
             self._measurement[:, 1] = velocity
-        return self.general.step(self._measurement.reshape(-1), preview)
+        return self._measurement.reshape(-1)
 
     def prepare(self) -> None:
         """Do what needs no measurement, after the command has been applied."""

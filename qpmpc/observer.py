@@ -79,13 +79,14 @@ class KalmanObserver:
         """
         n = model.n_states
         self._A, self._B = np.array(model.A), np.array(model.B)
-        self._C = np.array(matrix("measured", measured, columns=n))
-        m = self._C.shape[0]
+        self.measured = np.array(matrix("measured", measured, columns=n))
+        """Rows that are measured, ``(n_measured, n)``."""
+        m = self.measured.shape[0]
         W = matrix("process_noise", process_noise, n, n)
         V = matrix("measurement_noise", measurement_noise, m, m)
         if np.linalg.eigvalsh(V).min() <= 0:
             raise ObserverError("measurement_noise must be positive definite")
-        self.gain = kalman_gain(self._A, self._C, W, V)
+        self.gain = kalman_gain(self._A, self.measured, W, V)
         self.state = np.zeros(n)
         self._innovation = np.zeros(m)
         self._work, self._work2 = np.zeros(n), np.zeros(n)
@@ -96,7 +97,7 @@ class KalmanObserver:
 
     def correct(self, measurement: Array) -> Array:
         """Blend in a measurement ``(n_measured,)``; return the estimate x(k|k), in place."""
-        innovation = np.dot(self._C, self.state, out=self._innovation)
+        innovation = np.dot(self.measured, self.state, out=self._innovation)
         np.subtract(measurement, innovation, out=innovation)
         self.state += np.dot(self.gain, innovation, out=self._work)
         return self.state

@@ -75,6 +75,8 @@ class Problem:
         names = [bound.name for bound in bounds]
         if len(set(names)) != len(names):
             raise BoundsError(", ".join(names), "two bounds have the same name")
+        self.bounds = tuple(bounds)
+        """As they were given."""
         self._bounds = {bound.name: Rows(bound, setting) for bound in bounds}
         self._kinds = {bound.name: type(bound) for bound in bounds}
         self.rows: dict[str, slice] = {}
@@ -152,6 +154,14 @@ class Problem:
         if rows.size:
             self.A[self.rows[name]] = rows.decision
             self.rows_changed = True
+
+    def kept(self, name: str) -> NDArray[np.bool_]:
+        """Return which rows of the bound called ``name`` are in the QP, ``(steps, width)``.
+
+        Raises:
+            UnknownNameError: there is no such bound.
+        """
+        return self._find(name).kept
 
     def _find(self, name: str) -> Rows:
         if name not in self._bounds:

@@ -111,6 +111,11 @@ class Rows:
         self._parameters = np.hstack([base.state, base.previous])
 
     @property
+    def kept(self) -> NDArray[np.bool_]:
+        """Which of the bound's rows these are, ``(steps, width)``."""
+        return self._keep.reshape(self.steps, self.width)
+
+    @property
     def parameters(self) -> Array:
         """How the rows depend on state and last command, ``(size, n + n_inputs)``; 0 if mapped."""
         if self.mapped:

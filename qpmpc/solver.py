@@ -120,6 +120,10 @@ class Solver:
         """Let the next solve start from nothing, where the backend starts from the last one."""
         self._parts.forget()
 
+    def no_answer(self) -> Solution:
+        """Return what stands in the place of an answer where there is no time left for one."""
+        return self._failure(Status.LATE, 0, 0.0, 0.0, 0.0)
+
     def solve(self, q: Array, l: Array, u: Array) -> Solution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)`` in the QP's own units.
 

@@ -20,5 +20,7 @@ class Status(StrEnum):
     """No decision satisfies the hard rows."""
     UNBOUNDED = "unbounded"
     """The cost has no lower end within the rows: P is only semidefinite, and nothing stops q."""
+    LATE = "late"
+    """The step's deadline passed before there was an answer; whatever came after it is not used."""
     FAILED = "failed"
     """No usable answer: NaN among the parameters or in the answer, or a numerical breakdown."""

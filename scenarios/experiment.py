@@ -26,6 +26,19 @@ Shadow = Callable[[ForceController], Watch]
 
 
 @dataclass(frozen=True, eq=False)
+class Assembly:
+    """What a controlled run is made of, at its start."""
+
+    cell: Cell
+    setpoint: Setpoint
+    schedule: Schedule
+    controller: ForceController
+    log: Log
+    another_cell: Callable[[], Cell]
+    """Makes a cell of the same motion, as `cell` was at the start."""
+
+
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """What an experiment left behind."""
 
@@ -37,6 +50,45 @@ class Experiment:
     not."""
     wall_time: dict[str, float]
     """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``; 0 if not run."""
+
+
+def assemble(scenario: Scenario, report: Report) -> Assembly:
+    """Make cell, setpoint, schedule of bounds, controller and log of a scenario.
+
+    Args:
+        scenario: see there.
+        report: told once that it takes a while, when backend and motion are known to be there.
+
+    Raises:
+        ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had.
+    """
+    period, cycles, horizon = scenario.cell.period, scenario.cycles, scenario.controller.horizon
+    kind = backend_class(scenario.backend)  # one that is not there is told before anything is done
+    motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
+    report("setup", 0, 1)
+    heart = heart_programme(scenario.cell, motion)
+    wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
+
+    def another_cell() -> Cell:
+        return Cell(
+            scenario.cell, motion, force=wished, seed=scenario.seed, axes=scenario.axes, heart=heart
+        )
+
+    cell = another_cell()
+    setpoint = Setpoint(scenario.setpoint, scenario.axes, cycles, horizon, period)
+    schedule = Schedule(scenario)
+    controller = ForceController(
+        scenario.controller,
+        scenario.axes,
+        period,
+        kind,
+        joints=cell.joint_space(np.zeros(3), np.zeros(3)),
+        moving=schedule.moving,
+    )
+    touching = scenario.cell.contact.gap == 0
+    controller.reset(setpoint.force[0] * touching)
+    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
+    return Assembly(cell, setpoint, schedule, controller, log, another_cell)
 
 
 def run_experiment(
@@ -64,47 +116,25 @@ def run_experiment(
         has been simulated then.
     """
     started = perf_counter()
-    period, cycles, horizon = scenario.cell.period, scenario.cycles, scenario.controller.horizon
-    kind = backend_class(scenario.backend)  # one that is not there is told before anything is done
-    motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
-    report("setup", 0, 1)
-    heart = heart_programme(scenario.cell, motion)
-    wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
-
-    def make_cell() -> Cell:
-        return Cell(
-            scenario.cell, motion, force=wished, seed=scenario.seed, axes=scenario.axes, heart=heart
-        )
-
-    cell = make_cell()
-    setpoint = Setpoint(scenario.setpoint, scenario.axes, cycles, horizon, period)
-    schedule = Schedule(scenario)
-    controller = ForceController(
-        scenario.controller,
-        scenario.axes,
-        period,
-        kind,
-        joints=cell.joint_space(np.zeros(3), np.zeros(3)),
-        moving=schedule.moving,
-    )
-    touching = scenario.cell.contact.gap == 0
-    controller.reset(setpoint.force[0] * touching)
-    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
-    watch = shadow(controller) if shadow else None
+    cycles = scenario.cycles
+    made = assemble(scenario, report)
+    log = made.log
+    watch = shadow(made.controller) if shadow else None
     if held is None:
-        still = make_cell()
+        still = made.another_cell()
+        wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
         still.move_tool(wished / scenario.cell.contact.stiffness)
         still.close_brakes()
     ready = perf_counter()
     controlled, stopped = None, None
     try:
         complete = control_loop(
-            cell,
-            controller,
-            setpoint,
+            made.cell,
+            made.controller,
+            made.setpoint,
             log,
             cycles,
-            schedule=schedule,
+            schedule=made.schedule,
             watch=watch,
             progress=lambda done, total: report("compensated", done, total),
             stop=stop,
@@ -129,7 +159,7 @@ def run_experiment(
     return Experiment(
         scenario,
         log,
-        schedule,
+        made.schedule,
         stopped,
         {
             "setup": ready - started,

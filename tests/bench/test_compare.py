@@ -145,7 +145,7 @@ def test_a_run_that_was_not_made_has_no_speed(compared):
 @pytest.fixture
 def undrawn(monkeypatch):
     """A picture costs a second."""
-    monkeypatch.setattr("bench.commands.draw_comparison", lambda *_: None)
+    monkeypatch.setattr("bench.verbs.compare.draw_comparison", lambda *_: None)
 
 
 def rows(out: str) -> dict:

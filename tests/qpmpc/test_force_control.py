@@ -111,7 +111,9 @@ def configured(kind: str = "fused", velocity: tuple[float, float] = FREE) -> Con
 
 LATERAL = ("bounds.tangential",)
 """What says nothing about z."""
-SOLVER_FIELDS = ("solver.max_iterations", "solver.time_limit", "solver.smallest_part")
+SOLVER_FIELDS = (
+    "solver.max_iterations", "solver.time_limit", "solver.smallest_part", "solver.deadline",
+)  # fmt: skip
 """What does not change the answer; tested below by what it does change."""
 TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
 TIGHT_VELOCITY = {"bounds.velocity": (-0.01, 0.01)}
@@ -195,6 +197,8 @@ def test_fields_of_the_solver_change_how_it_solves() -> None:
     assert Status.ITERATION_LIMIT in trace(changed(base, "solver.max_iterations", 1))[2]
     hasty = trace(changed(base, "solver.time_limit", 1e-9), backend="clarabel")[2]
     assert Status.ITERATION_LIMIT in hasty
+    late = trace(changed(base, "solver.deadline", 1e-9))[2]
+    assert set(late) == {Status.LATE}
     parts = [
         ForceController(
             changed(base, "solver.smallest_part", smallest), ("x", "y", "z"), PERIOD
@@ -571,6 +575,8 @@ def test_lost_measurement_fails_one_cycle_only() -> None:
         ("bounds.joints.speed", 0.5, BoundsError),
         ("solver.max_iterations", 0, QpmpcError),
         ("solver.time_limit", -1.0, QpmpcError),
+        ("solver.deadline", 0.0, ModelError),
+        ("solver.deadline", float("nan"), ModelError),
         ("bounds.velocity", (0.1, -0.1), BoundsError),
     ],
 )

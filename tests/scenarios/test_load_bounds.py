@@ -141,6 +141,8 @@ WRONG = [
     ("controller.solver.max_iterations = 'a'", "controller.solver.max_iterations"),
     ("controller.solver.time_limit = 0.0", "controller.solver.time_limit"),
     ("controller.solver.time_limit = inf", "controller.solver.time_limit"),
+    ("controller.solver.deadline = 0.0", "controller.solver.deadline"),
+    ("controller.solver.deadline = 'soon'", "controller.solver.deadline"),
     ("controller.solver.time_limit = 'a'", "controller.solver.time_limit"),
     # changes of bounds
     ("bounds_steps = 3", "bounds_steps"),
@@ -321,6 +323,7 @@ joints = {speed = 0.5, torque = 0.75}
 [controller.solver]
 max_iterations = 17
 time_limit = 0.0005
+deadline = 0.00075
 [[bounds_steps]]
 time = 0.125
 force = [-inf, inf]
@@ -348,7 +351,7 @@ def test_every_key_survives_the_dump_infinities_included(write):
     )  # fmt: skip
     assert bounds.order[0] == "force"
     solver = scenario.controller.solver
-    assert (solver.max_iterations, solver.time_limit) == (17, 0.0005)
+    assert (solver.max_iterations, solver.time_limit, solver.deadline) == (17, 0.0005, 0.00075)
     assert scenario.bounds_steps[1].force == AxesChange(x=(-1.0, 1.0), z=(-INF, 3.0))
 
 

@@ -1,0 +1,41 @@
+"""What verbs that run an experiment have in common."""
+
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+from scenarios import Scenario, load_scenario
+
+FAILED = 1
+
+
+class Asked(Protocol):
+    """The options that say which experiment is meant."""
+
+    @property
+    def scenario(self) -> str: ...
+    @property
+    def motion(self) -> Path | None: ...
+    @property
+    def beats(self) -> Path | None: ...
+    @property
+    def duration(self) -> float | None: ...
+    @property
+    def seed(self) -> int | None: ...
+    @property
+    def set(self) -> tuple[str, ...]: ...
+
+
+def load(asked: Asked, **top: str | None) -> Scenario:
+    keys = {"duration": asked.duration, "seed": asked.seed, **top}
+    return load_scenario(
+        asked.scenario,
+        top={key: value for key, value in keys.items() if value is not None},
+        motion=asked.motion,
+        beats=asked.beats,
+        settings=asked.set,
+    )
+
+
+def now() -> str:
+    return f"{datetime.now():%Y%m%d-%H%M%S}"

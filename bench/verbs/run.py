@@ -1,0 +1,79 @@
+"""``pulsempc run``: one experiment, its files, its table."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from bench.cli import INTERRUPTED
+from bench.figures import draw_forces
+from bench.progress import Reporter, ctrl_c
+from bench.table import force_table, timing_lines
+from bench.verbs._asked import FAILED, load, now
+from qpmpc.backends import backend_class
+from scenarios import run_experiment, summarise
+from scenarios.results import result_folder, to_json, write_run
+
+_arg = tyro.conf.arg
+
+
+@dataclass(frozen=True)
+class Run:
+    """Run a scenario and write its results into a folder.
+
+    For example, `pulsempc run paper --backend analytic --seed 3 --out runs/seed3`, or
+    `pulsempc run my.toml --motion heart.csv --set cell.sensor.model=mini45`.
+    """
+
+    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
+    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
+    backend: Annotated[str | None, _arg(metavar="NAME")] = None
+    """Solver, see `pulsempc backends`."""
+    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
+    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """Times of heart beats that drive the generated motion: column t [s]."""
+    duration: Annotated[float | None, _arg(metavar="S")] = None
+    """Simulated time [s]."""
+    seed: Annotated[int | None, _arg(metavar="N")] = None
+    """Seed of motion and sensor noise."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
+    """Change keys of the scenario; values in TOML's notation."""
+    out: Annotated[Path | None, _arg(metavar="DIR")] = None
+    """Folder for the results, new or empty; runs/<scenario>-<time> if not given."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Print the summary as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Simulate, write, show; return the exit code."""
+        scenario = load(self, backend=self.backend)
+        backend_class(scenario.backend)  # an unknown one is told before anything else is done
+        folder = self.out or Path("runs") / f"{scenario.name}-{now()}"
+        with (
+            result_folder(folder) as partial,
+            Reporter(quiet=self.json) as reporter,
+            ctrl_c() as interrupt,
+        ):
+            experiment = run_experiment(scenario, report=reporter, stop=interrupt)
+            summary = summarise(experiment)
+            write_run(experiment, summary, partial)
+            draw_forces(experiment.log, partial / "forces.png")
+        if self.json:
+            sys.stdout.write(to_json(summary))
+        else:
+            console = Console()
+            console.print(force_table(summary))
+            for line in timing_lines(summary):
+                console.print(line, highlight=False)
+            console.print(f"results: {folder}", highlight=False, soft_wrap=True)
+        if experiment.stopped is None:
+            return 0
+        print(
+            f"pulsempc: {experiment.stopped} after {experiment.log.cycles} of {scenario.cycles} "
+            f"controlled cycles; what was done until then is in {folder}",
+            file=sys.stderr,
+        )
+        return INTERRUPTED if interrupt.pressed else FAILED
