@@ -181,8 +181,9 @@ class ConicBackend(Backend):
             status = Status.SOLVED
         except RuntimeError:
             status = self._said()
-        form.multipliers(self._lam, self._y)
+        y = form.multipliers(self._lam, self._y)
         answer.status = self._settle(status, q, l, u)
+        y[(y > 0) & (u == np.inf) | (y < 0) & (l == -np.inf)] = 0.0  # no bound, no price
         return answer
 
     def _adapt(self) -> None:

@@ -29,8 +29,8 @@ _GAVE_WAY = 2
 """DAQP's flag of an answer in which soft rows give way."""
 _EQUATIONS = 500
 """Systems of equations that a polish may solve."""
-_ITERATIONS = 1000
-"""Its own limit, where none is given."""
+_ITERATIONS, _EACH = 1000, 10
+"""Its own limit, where none is given: so many at least, and so many for each variable and row."""
 _STATUS = {
     _GAVE_WAY: Status.SOLVED,
     1: Status.SOLVED,
@@ -66,7 +66,7 @@ class DaqpBackend(Backend):
         self._model: Any = daqp.Model()
         self._model.settings = {
             "primal_tol": 1e-9,
-            "iter_limit": limits.iterations or _ITERATIONS,
+            "iter_limit": limits.iterations or max(_ITERATIONS, _EACH * (qp.n + qp.m)),
             "time_limit": limits.time or 0.0,
         }
         soft = np.isfinite(qp.linear)

@@ -149,3 +149,16 @@ def test_judge(x: list[float], y: list[float], wrong: str) -> None:
     qp = QuadraticProgram(np.eye(2), [-3.0, 0.5], np.eye(2), [-1.0, -np.inf], [1.0, np.inf])
     assert complaint(qp, np.array(x), np.array(y)).startswith(wrong)
     assert bool(complaint(qp, np.array(x), np.array(y))) == bool(wrong)
+
+
+def test_a_large_program_takes_as_many_steps_as_it_needs(backend: str) -> None:
+    """A linear program: DAQP needs some 1,150 steps."""
+    rng = np.random.default_rng(1)
+    n, m = 240, 560
+    A, inside = rng.normal(size=(m, n)), rng.normal(size=n)
+    u = A @ inside + rng.uniform(0.0, 1.0, m)
+    price = np.maximum(rng.normal(size=m), 0.0)
+    qp = QuadraticProgram(np.zeros((n, n)), -A.T @ price, A, np.full(m, -np.inf), u)
+    solution = solve(qp, backend)
+    assert solution.status is Status.SOLVED
+    assert not complaint(qp, solution.x, solution.y)
