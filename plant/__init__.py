@@ -5,14 +5,17 @@ from plant.config import (
     CellConfig,
     ContactConfig,
     ImperfectionConfig,
+    ProtectionConfig,
     SensorConfig,
     ToolConfig,
 )
 from plant.errors import PlantError
-from plant.interface import JointPlant, JointSpace, Measurement, Plant, Truth
+from plant.interface import Cause, JointPlant, JointSpace, Measurement, Plant, Trip, Truth
 from plant.playback import UnreachableMotionError
+from plant.protection import force_cap
 
 __all__ = [
+    "Cause",
     "Cell",
     "CellConfig",
     "ContactConfig",
@@ -22,8 +25,11 @@ __all__ = [
     "Measurement",
     "Plant",
     "PlantError",
+    "ProtectionConfig",
     "SensorConfig",
     "ToolConfig",
+    "Trip",
     "Truth",
     "UnreachableMotionError",
+    "force_cap",
 ]

@@ -1,5 +1,6 @@
 """The two-robot cell: MuJoCo physics, Robot_Heart's programme, Robot_Tool's inner loop, sensors."""
 
+import ctypes
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -15,9 +16,12 @@ from plant.contact import GRIP, Contact
 from plant.errors import PlantError, UnstableSimulationError
 from plant.inner_loop import InnerLoop
 from plant.interface import JointSpace, Measurement, TissueMotion, Truth
+from plant.memory import memory
 from plant.mjcf import SERVO_STIFFNESS, cell_mjcf
 from plant.playback import Programme, programme
+from plant.protection import Guard, close_brakes
 from plant.sensors import SENSORS, ForceSensor
+from plant.stepping import CompiledStepper, PythonStepper, Stepper
 from plant.viper import HEART, TOOL, VIPER_S650, FloatArray
 
 Axis = Literal["x", "y", "z"]
@@ -32,7 +36,7 @@ class Cell:
     Made in equilibrium: the tool at rest with the given force at the first sample of the motion,
     or with a gap between it and the tissue. One `measure` and one `apply` make a cycle. With the
     brakes closed the tool stays where it is, whatever is commanded: the paper's run without
-    compensation.
+    compensation. A guard watches every physics step, see `plant.protection`.
     """
 
     def __init__(
@@ -44,6 +48,7 @@ class Cell:
         seed: int,
         axes: Sequence[Axis] = _AXES,
         heart: Programme | None = None,
+        library: ctypes.CDLL | None = None,
     ) -> None:
         """Build both arms and put them into contact.
 
@@ -56,11 +61,13 @@ class Cell:
             axes: which axes follow the command, in the order of the columns of `joint_space`;
                 the tool holds its position on the others.
             heart: the programme of `heart_programme` for this motion, where it is at hand.
+            library: the physics loop, compiled from `plant.stepping.source_text`; the run is the
+                same without it, and slower.
 
         Raises:
             UnreachableMotionError: Robot_Heart cannot play the motion.
             PlantError: the contact has a gap but is bilateral, or is unilateral and cannot carry
-                the force.
+                the force; or the library is not what it should be.
         """
         self._load = np.asarray(force, dtype=np.float64)
         _check_start(config.contact, self._load)
@@ -68,7 +75,6 @@ class Cell:
         self.cycles = motion.position.shape[0]
         """How many cycles the motion lasts."""
         self._heart = heart or heart_programme(config, motion)
-        self._substeps = config.substeps
         flaws = config.imperfections
         self.model = mujoco.MjModel.from_xml_string(
             cell_mjcf(
@@ -94,14 +100,25 @@ class Cell:
         )
         self._sensor = ForceSensor(SENSORS[config.sensor.model], np.random.SeedSequence([seed, 1]))
         self._limit = VIPER_S650.torque_limit.si
-        self._contact = Contact(self.model, self.data, config.contact)
-        # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
         data = self.data
+        block = memory(self.model, data)
+        block["substeps"] = config.substeps
+        self._peak = block["peak"]
+        self._contact = Contact(block, self.model, data, config.contact)
+        self._guard = Guard(config, block, self.model, data, self._contact)
+        self._stepper: Stepper = (
+            CompiledStepper(library, block, self.model, data)
+            if library
+            else PythonStepper(block, self.model, data, self._contact, self._guard)
+        )
+        # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
         self._q, self._qdot = data.qpos[6:12], data.qvel[6:12]
         self._heart_ctrl, self._tool_ctrl = data.ctrl[:6], data.ctrl[6:12]
         self._surface = data.site("heart_surface").xpos
         self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
+        self._follows = np.isin(np.arange(3), [_AXES.index(axis) for axis in axes])
+        self._protection = config.protection
         self._delay, self._resolution = flaws.delay, flaws.command_resolution
         if config.contact.gap > 0:
             self._place(motion.position[0] + [0.0, 0.0, config.contact.gap], np.zeros(3))
@@ -109,9 +126,9 @@ class Cell:
             self._place(motion.position[0] + self._load / config.contact.stiffness, self._load)
 
     def close_brakes(self) -> None:
-        """Lock the tool's joints where they are."""
-        self.model.eq_data[:6, 0] = self._q
-        self.data.eq_active[:6] = True
+        """Lock the tool's joints where they are, and let the guard rest."""
+        close_brakes(self.model, self.data)
+        self._guard.stand_down()
 
     def move_tool(self, displacement: FloatArray) -> None:
         """Put the tool elsewhere, at rest: its tip ``displacement (3,)`` [m] from home.
@@ -135,6 +152,7 @@ class Cell:
         self._read = self._sensor.read(self._force)
         self._tissue[:] = self._surface
         self._touching = self._contact.touching
+        self._peak_read, self._trip = float(self._peak), self._guard.trip
         return Measurement(
             self._cycle * self.period,
             self._read.copy(),
@@ -142,27 +160,56 @@ class Cell:
             inner.twist[:3].copy(),
         )
 
-    def apply(self, command: FloatArray) -> None:
+    def apply(self, command: FloatArray | None) -> None:
         """Run the inner loop once on the last measurement, then the physics for one period.
 
+        Under protection a command that is not finite or beyond ``protection.command`` counts as
+        none, and where none came the last one goes on until the heartbeat is missed for too long.
+        After a trip commands have no effect.
+
         Raises:
-            PlantError: the motion has ended, or the command is not finite.
+            PlantError: the motion has ended; or, without protection, the command is not finite.
         """
         if self._cycle >= self.cycles:
             raise PlantError(f"the motion ended after {self.cycles} cycles")
+        guard, usable = self._guard, self._usable(command)
+        guard.heard(usable)
+        if usable:
+            self._command[:] = command
+            if self._resolution:
+                self._command /= self._resolution
+                np.rint(self._command, out=self._command)
+                self._command *= self._resolution
+        if guard.tripped:
+            self._torque, self._saturated = self._tool_ctrl.copy(), False
+        else:
+            wanted = self._inner.torque(self._command, self._read)
+            torque = np.minimum(np.maximum(wanted, -self._limit), self._limit)
+            self._saturated = bool(np.count_nonzero(torque != wanted))
+            self._torque = torque
+            self._line.append((torque, self._command * self._follows))
+            self._tool_ctrl[:], self._asked = self._line.popleft()
+        guard.expect(self._cycle, self._asked, self._heart)
+        np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
+        self._peak[()] = 0.0
+        self._stepper.advance()
+        guard.notice()
+        self._cycle += 1
+
+    def _usable(self, command: FloatArray | None) -> bool:
+        """Whether a command can be applied.
+
+        Raises:
+            PlantError: it is not finite, and nothing protects the cell.
+        """
+        if command is None:
+            return False
+        largest = max(map(abs, command.tolist()))
+        if self._protection.enabled:
+            return largest <= self._protection.command and not math.isnan(sum(command.tolist()))
         if not math.isfinite(sum(command.tolist())):
             raise PlantError(f"command {command} at t = {self._cycle * self.period:.3f} s")
-        if self._resolution:
-            command = np.rint(command / self._resolution) * self._resolution
-        wanted = self._inner.torque(command, self._read)
-        torque = np.minimum(np.maximum(wanted, -self._limit), self._limit)
-        self._saturated = bool(np.count_nonzero(torque != wanted))
-        self._torque = torque
-        self._line.append(torque)
-        np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
-        self._tool_ctrl[:] = self._line.popleft()
-        self._advance()
-        self._cycle += 1
+        return True
 
     def truth(self) -> Truth:
         """Return what is really there; torque and saturation are those of the last `apply`."""
@@ -173,6 +220,8 @@ class Cell:
             self._saturated,
             self._touching,
             self._inner.qdot.copy(),
+            self._peak_read,
+            self._trip,
         )
 
     def joint_space(self, force: FloatArray, previous: FloatArray) -> JointSpace:
@@ -183,21 +232,6 @@ class Cell:
             previous: command that was applied last, ``(3,)`` [m/s^2].
         """
         return self._inner.joint_space(force, previous)
-
-    def _advance(self) -> None:
-        """Bring the physics to the next control instant."""
-        model, data, contact = self.model, self.data, self._contact
-        if contact.unilateral:
-            for _ in range(self._substeps):
-                mujoco.mj_step2(model, data)
-                mujoco.mj_step1(model, data)
-                contact.follow()
-            return
-        mujoco.mj_step2(model, data)
-        if self._substeps > 1:
-            mujoco.mj_step(model, data, nstep=self._substeps - 1)
-        # Positions and velocities of the new instant; a reading after mj_step is a substep old.
-        mujoco.mj_step1(model, data)
 
     def _place(self, displacement: FloatArray, load: FloatArray) -> None:
         """Set both arms to the start of the motion and the tool at rest at ``displacement``.
@@ -226,12 +260,15 @@ class Cell:
         self._heart_ctrl[:] = self._heart.ctrl[0] + self._lean
         mujoco.mj_step1(model, data)
         self._contact.begin()
+        self._guard.begin()
+        self._peak[()] = 0.0
         self.measure()
         self._inner.hold()
         # Torques that really hold the tool; the inner loop's own model may be wrong.
         self._torque = data.qfrc_bias[6:12] + self._inner.J[:3].T @ self._force
         self._tool_ctrl[:] = self._torque
-        self._line = deque([self._torque] * self._delay)
+        self._command, self._asked = np.zeros(3), np.zeros(3)
+        self._line = deque([(self._torque, self._asked)] * self._delay)
         if model.na:
             data.act[:] = self._torque
 

@@ -69,6 +69,39 @@ class ImperfectionConfig:
 
 
 @dataclass(frozen=True)
+class ProtectionConfig:
+    """Limits of the guard that watches the cell at every physics step, apart from the controller.
+
+    Estimated, where nothing else is said: two to three times what the shipped scenarios reach.
+    """
+
+    enabled: bool = True
+    """Whether it is there."""
+    joint_speed: Annotated[float, Gt(0), Le(1)] = 0.5
+    """Speed of the tool's joints, as a share of the rated one [-]."""
+    joint_margin: Annotated[float, Ge(0), Le(0.3)] = 0.035
+    """How far before the end of its range a joint must be able to stop [rad]."""
+    tip_speed: Annotated[float, Gt(0), Le(2)] = 0.5
+    """Speed of the tool's tip [m/s]."""
+    tracking_velocity: Annotated[float, Gt(0)] = 0.4
+    """Difference of the tip's velocity from the one that the commands ask for [m/s]."""
+    tracking_orientation: Annotated[float, Gt(0), Le(3)] = 0.05
+    """Angle between the instrument and its orientation at the start [rad]."""
+    tracking_heart: Annotated[float, Gt(0)] = 0.02
+    """Difference of Robot_Heart's joints from their programme [rad]."""
+    force: Annotated[float, Gt(0)] = 30.0
+    """Magnitude of the contact force [N]."""
+    heartbeat: Annotated[int, Ge(0)] = 5
+    """Periods in a row that may pass without a command that can be used [cycles]."""
+    command: Annotated[float, Gt(0), Le(1e4)] = 200.0
+    """Largest command on any axis that can be used; beyond it counts as none [m/s^2]."""
+    retraction: Annotated[float, Ge(0), Le(0.1)] = 0.03
+    """Distance from the tissue's surface to which the tool is taken away after a trip [m]."""
+    retraction_speed: Annotated[float, Gt(0), Le(0.5)] = 0.25
+    """Speed at which it is taken away [m/s]; by default the reduced speed of ISO 10218-1."""
+
+
+@dataclass(frozen=True)
 class CellConfig:
     """The two-robot cell."""
 
@@ -80,3 +113,4 @@ class CellConfig:
     sensor: SensorConfig = field(default_factory=SensorConfig)
     tool: ToolConfig = field(default_factory=ToolConfig)
     imperfections: ImperfectionConfig = field(default_factory=ImperfectionConfig)
+    protection: ProtectionConfig = field(default_factory=ProtectionConfig)

@@ -4,6 +4,7 @@ Any object with these members can take the place of `plant.cell.Cell` in the loo
 """
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -25,6 +26,34 @@ class Measurement:
     """Its velocity from the encoders, ``(3,)`` [m/s]."""
 
 
+class Cause(StrEnum):
+    """Which limit of the protection was passed; the keys of ``cell.protection`` have the names."""
+
+    HEARTBEAT = "heartbeat"
+    JOINT_RANGE = "joint_range"
+    JOINT_SPEED = "joint_speed"
+    TIP_SPEED = "tip_speed"
+    TRACKING_VELOCITY = "tracking_velocity"
+    TRACKING_ORIENTATION = "tracking_orientation"
+    TRACKING_HEART = "tracking_heart"
+    FORCE = "force"
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """Why and when the protection took the tool away."""
+
+    cause: Cause
+    time: float
+    """Of the physics step after which the limit was found passed [s]."""
+    value: float
+    """What was found, in the unit of the limit."""
+    limit: float
+    """What it was compared with."""
+    joint: int | None = None
+    """Number of the joint, from 1; None where no joint is concerned."""
+
+
 @dataclass(frozen=True, slots=True)
 class Truth:
     """What only the log may see, at the instant of the last measurement."""
@@ -34,13 +63,19 @@ class Truth:
     tissue: FloatArray
     """Position of the tissue's surface at rest, ``(3,)`` [m]."""
     torque: FloatArray
-    """Joint torques that the inner loop last asked for, after saturation, ``(6,)`` [N m]."""
+    """Joint torques that the inner loop last asked for, after saturation; after a trip, those that
+    the protection asks for, ``(6,)`` [N m]."""
     saturated: bool
     """Whether a torque was cut at its limit."""
     touching: bool = True
     """Whether tool and tissue touch."""
     joint_velocity: FloatArray = field(default_factory=lambda: np.zeros(6))
     """Speeds of the tool's joints, ``(6,)`` [rad/s]."""
+    force_peak: float = 0.0
+    """Largest magnitude of the contact force since the measurement before, at any physics step
+    [N]."""
+    trip: Trip | None = None
+    """What the protection tripped on, if it has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +138,11 @@ class Plant(Protocol):
         """Read the sensors at the present control instant."""
         ...
 
-    def apply(self, command: FloatArray) -> None:
-        """Apply an acceleration command ``(3,)`` [m/s^2] and go on by one period."""
+    def apply(self, command: FloatArray | None) -> None:
+        """Apply an acceleration command ``(3,)`` [m/s^2] and go on by one period.
+
+        None: no command came in this period, the one before goes on.
+        """
         ...
 
     def truth(self) -> Truth:

@@ -44,6 +44,8 @@ class Programme:
     """Joint speeds at the start, ``(6,)`` [rad/s]."""
     ctrl: FloatArray
     """Servo commands with velocity and torque feed-forward, ``(n, 6)`` [rad]."""
+    angles: FloatArray
+    """Where the joints are meant to be, ``(n, 6)`` [rad]."""
 
 
 def programme(
@@ -77,7 +79,7 @@ def programme(
     goal = pin.SE3(data.oMf[arm.tip])
     origin = goal.translation.copy()
     n = motion.position.shape[0]
-    ctrl = np.empty((n, 6))
+    ctrl, path = np.empty((n, 6)), np.empty((n, 6))
     angles, zero, twist, wrench = home.copy(), np.zeros(6), np.zeros(6), np.zeros(6)
     speed_limit = spec.joint_speed.si
     coulomb, viscous = friction * spec.coulomb_friction.si, friction * spec.viscous_friction.si
@@ -93,13 +95,14 @@ def programme(
         torque = pin.rnea(model, data, angles, speeds, accelerations)
         torque = torque - pin.computeGeneralizedGravity(model, data, angles)
         torque += coulomb * np.tanh(speeds / _SIGN_SPEED) + viscous * speeds
+        path[k] = angles
         ctrl[k] = angles + (SERVO_DAMPING * speeds + torque) / SERVO_STIFFNESS
         _check(angles, spec.lower, spec.upper, k * period, _ANGLE)
         _check(speeds, -speed_limit, speed_limit, k * period, _SPEED)
         if k == 0:
             start = angles, speeds
         angles = angles + period * speeds
-    return Programme(*start, ctrl)
+    return Programme(*start, ctrl, path)
 
 
 def _reach(arm: ArmModel, data: object, goal: object, q: FloatArray, time: float) -> FloatArray:

@@ -1,0 +1,324 @@
+"""The guard of the cell: watches at every physics step, and takes the tool away for good.
+
+It stands apart from the controller and from the inner loop, as the watchdog of a drive does: it
+reads joints, tip and contact force themselves, and from a trip on commands the motors itself. What
+it watches, and what happens at a trip, is told in ``docs/plant.md``.
+
+`Guard.watch` and `Guard.retract` run at every physics step. They are the reference for the same two
+functions in ``stepping.c``, which do the same operations in the same order on the same memory.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from plant.arm_model import build_arm_model, home_configuration
+from plant.config import CellConfig
+from plant.contact import Contact
+from plant.interface import Cause, Trip
+from plant.memory import Memory
+from plant.playback import Programme
+from plant.viper import TOOL, VIPER_S650, FloatArray
+
+OFF, WATCHING, RETRACTING, BRAKED = range(4)
+"""What the guard is doing, ``memory["mode"]``."""
+_CAUSES = tuple(Cause)
+_NUMBER = {cause: number for number, cause in enumerate(_CAUSES, start=1)}
+"""Of each cause in ``memory["cause"]``; 0 is none."""
+_BANDWIDTH = 100.0
+"""Of the joints' position loop on the way back, where the motors' lag allows it [rad/s]."""
+_LAG_SHARE = 0.2
+"""Largest product of that bandwidth and the lag [-]."""
+_LEASH = 0.002
+"""How far the goal may be ahead of its joint [rad]: what is caught up after an impact then adds
+little to the speed of the way back."""
+_REST = 0.02
+"""Joint speed at which the brakes can close [rad/s]."""
+_SAFETY = 0.5
+"""Share of the deceleration that a joint has at home on which its stopping distance counts [-]."""
+_FLAT = 2.0 * math.sqrt(2.0)
+"""Frobenius norm of the difference of two rotations half a turn apart [-]."""
+
+
+class Guard:
+    """Protection of one cell, from `begin` on."""
+
+    def __init__(
+        self, config: CellConfig, block: Memory, model: Any, data: Any, contact: Contact
+    ) -> None:
+        """Derive limits and gains.
+
+        Args:
+            config: of the whole cell.
+            block: what it shares with the physics loop.
+            model, data: of MuJoCo.
+            contact: released at a trip.
+        """
+        own, lag = config.protection, config.imperfections.torque_lag
+        self._config, self._block = own, block
+        self._model, self._data, self._contact = model, data, contact
+        self._period, self._substeps = config.period, config.substeps
+        step = config.period / config.substeps
+        block["lower"] = VIPER_S650.lower + own.joint_margin
+        block["upper"] = VIPER_S650.upper - own.joint_margin
+        block["goal_lower"], block["goal_upper"] = block["lower"], block["upper"]
+        block["joint_speed"] = own.joint_speed * VIPER_S650.joint_speed.si
+        block["tip_speed"], block["force"] = own.tip_speed, own.force
+        block["tracking_velocity"] = own.tracking_velocity
+        block["tracking_orientation"] = _FLAT * math.sin(0.5 * own.tracking_orientation)
+        block["tracking_heart"] = own.tracking_heart
+        inertia, reserve, _, _ = _strength()
+        block["stopping"] = inertia / (2.0 * _SAFETY * reserve)
+        block["reaction"] = step + 2.0 * lag
+        damping = config.tool.velocity_damping
+        block["decay"] = math.exp(-damping * step)
+        block["gain"] = -math.expm1(-damping * step) / damping if damping > 0 else step
+        bandwidth = min(_BANDWIDTH, _LAG_SHARE / lag) if lag > 0 else _BANDWIDTH
+        block["proportional"] = bandwidth**2 * inertia
+        block["derivative"] = 2.0 * bandwidth * inertia
+        block["torque_limit"], block["leash"] = VIPER_S650.torque_limit.si, _LEASH
+        # Views: looking them up costs as much as a small matrix product.
+        self._mode, self._asked = block["mode"], block["asked"]
+        self._heart, self._heart_step = block["heart"], block["heart_step"]
+        self._q, self._speeds = data.qpos[6:12], data.qvel[6:12]
+        self._tip, self._frame = data.site("tool_tip").xpos, data.site("tool_tip").xmat
+        self._surface = data.site("heart_surface")
+        self._site = model.site("tool_tip").id
+        self._jacobian = np.zeros((6, model.nv))
+        self.trip: Trip | None = None
+        """What it tripped on, and when."""
+        self._cycle = self._missed = 0
+
+    def begin(self) -> None:
+        """Start anew where the arms are, at rest and within all limits."""
+        block = self._block
+        block["tip_before"], block["frame_held"] = self._tip, self._frame
+        block["asked"] = block["expected"] = 0.0
+        block["cause"] = 0
+        self._mode[()] = WATCHING if self._config.enabled else OFF
+        self._cycle = self._missed = 0
+        self._travel, self._arrived = 0.0, False
+        self.trip = None
+
+    def stand_down(self) -> None:
+        """Watch no more until the next `begin`: the brakes hold the tool."""
+        self._mode[()] = OFF
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the tool is the guard's."""
+        return bool(self._block["cause"])
+
+    def heard(self, valid: bool) -> None:
+        """Count the heartbeat: whether a usable command came in this period."""
+        self._missed = 0 if valid else self._missed + 1
+        if self._missed > self._config.heartbeat and self._mode == WATCHING:
+            self._block["step"] = 0
+            self._trip(Cause.HEARTBEAT, -1, float(self._missed), float(self._config.heartbeat))
+            self._contact.follow()
+            self.retract()
+
+    def expect(self, cycle: int, asked: FloatArray, heart: Programme) -> None:
+        """Take in what the coming period is for, or go on with the way back.
+
+        Args:
+            cycle: number of the period.
+            asked: command that acts now, 0 on axes that hold their position, ``(3,)`` [m/s^2].
+            heart: Robot_Heart's programme.
+        """
+        self._cycle = cycle
+        if self._mode == WATCHING:
+            self._asked[:] = asked
+            now = heart.angles[cycle]
+            self._heart[:] = now
+            after = heart.angles[cycle + 1] if cycle + 1 < len(heart.angles) else now
+            np.subtract(after, now, out=self._heart_step)
+            self._heart_step /= self._substeps
+        elif self._mode == RETRACTING:
+            self._aim()
+
+    def notice(self) -> None:
+        """After a period: make the record of a trip that happened in it."""
+        if self.trip is None and self._block["cause"]:
+            block = self._block
+            cause, joint = _CAUSES[int(block["cause"]) - 1], int(block["joint"])
+            value, limit = float(block["value"]), float(block["limit"])
+            if cause is Cause.TRACKING_ORIENTATION:
+                value = 2.0 * math.asin(min(value / _FLAT, 1.0))
+                limit = self._config.tracking_orientation
+            periods = self._cycle + int(block["step"]) / self._substeps
+            self.trip = Trip(
+                cause, periods * self._period, value, limit, joint + 1 if joint >= 0 else None
+            )
+
+    def watch(self, step: int) -> None:
+        """Compare the state after physics step ``step`` of the period, from 1, with the limits."""
+        m = self._block
+        m["step"] = step
+        square = error = turned = 0.0
+        decay, gain, timestep = float(m["decay"]), float(m["gain"]), float(m["timestep"])
+        before, expected = m["tip_before"], m["expected"]
+        for i, (x, u) in enumerate(zip(self._tip.tolist(), self._asked.tolist(), strict=True)):
+            v = (x - float(before[i])) / timestep
+            before[i] = x
+            wanted = decay * float(expected[i]) + gain * u
+            expected[i] = wanted
+            square += v * v
+            error += (v - wanted) * (v - wanted)
+        self._heart += self._heart_step
+        for now, held in zip(self._frame.tolist(), m["frame_held"].tolist(), strict=True):
+            turned += (now - held) * (now - held)
+
+        q, speeds = self._q.tolist(), self._speeds.tolist()
+        lower, upper, stopping = m["lower"].tolist(), m["upper"].tolist(), m["stopping"].tolist()
+        reaction = float(m["reaction"])
+        for i, speed in enumerate(speeds):
+            travel = stopping[i] * speed * speed + reaction * abs(speed)
+            high = q[i] + travel if speed > 0.0 else q[i]
+            low = q[i] - travel if speed < 0.0 else q[i]
+            if not high <= upper[i]:
+                return self._trip(Cause.JOINT_RANGE, i, high, upper[i])
+            if not low >= lower[i]:
+                return self._trip(Cause.JOINT_RANGE, i, low, lower[i])
+        for i, (speed, most) in enumerate(zip(speeds, m["joint_speed"].tolist(), strict=True)):
+            if not abs(speed) <= most:
+                return self._trip(Cause.JOINT_SPEED, i, abs(speed), most)
+        for cause, value in (
+            (Cause.TIP_SPEED, math.sqrt(square)),
+            (Cause.TRACKING_VELOCITY, math.sqrt(error)),
+            (Cause.TRACKING_ORIENTATION, math.sqrt(turned)),
+        ):
+            limit = float(m[cause.value])
+            if not value <= limit:
+                return self._trip(cause, -1, value, limit)
+        limit = float(m["tracking_heart"])
+        for i, (x, wanted) in enumerate(
+            zip(self._data.qpos[:6].tolist(), self._heart.tolist(), strict=True)
+        ):
+            if not abs(x - wanted) <= limit:
+                return self._trip(Cause.TRACKING_HEART, i, abs(x - wanted), limit)
+        force, limit = self._contact.size(), float(m["force"])
+        if not force <= limit:
+            return self._trip(Cause.FORCE, -1, force, limit)
+        return None
+
+    def retract(self) -> None:
+        """Command the motors for the next physics step: goals on a leash, damped, weight borne."""
+        m = self._block
+        timestep, leash = float(m["timestep"]), float(m["leash"])
+        rows = zip(
+            *(m[name].tolist() for name in _LOOP),
+            self._q.tolist(),
+            self._speeds.tolist(),
+            self._data.qfrc_bias[6:12].tolist(),
+            strict=True,
+        )
+        for i, (goal, pace, low, high, stiff, damp, most, q, speed, bias) in enumerate(rows):
+            aim = goal + pace * timestep
+            aim = min(max(min(aim, q + leash), q - leash), high)
+            aim = max(aim, low)
+            m["goal"][i] = aim
+            torque = stiff * (aim - q) + damp * (pace - speed) + bias
+            self._data.ctrl[6 + i] = max(min(torque, most), -most)
+
+    def _trip(self, cause: Cause, joint: int, value: float, limit: float) -> None:
+        m = self._block
+        self._mode[()] = RETRACTING
+        m["cause"], m["joint"], m["value"], m["limit"] = _NUMBER[cause], joint, value, limit
+        m["unilateral"] = 1
+        m["normal"], m["tip_tripped"] = self._surface.xmat[2::3], self._tip
+        m["depth"] = float(self._contact.depth)
+        m["goal"], m["goal_speed"] = self._q, 0.0
+
+    def _aim(self) -> None:
+        """Once a period: how fast each joint's goal moves, and whether the brakes can close."""
+        m = self._block
+        pace = m["goal_speed"]
+        travel = max(0.0, self._config.retraction + float(m["depth"]))
+        if not self._arrived:
+            done = float(m["normal"] @ (self._tip - m["tip_tripped"]))
+            at_end = (m["goal"] <= m["goal_lower"]) | (m["goal"] >= m["goal_upper"])
+            self._arrived = done >= travel or bool((at_end & (pace != 0.0)).any())
+        pace[:] = 0.0
+        if not self._arrived:
+            J = self._jacobian
+            mujoco.mj_jacSite(self._model, self._data, J[:3], J[3:], self._site)
+            wanted = np.concatenate([self._config.retraction_speed * m["normal"], np.zeros(3)])
+            try:
+                speeds = np.linalg.solve(J[:, 6:12], wanted)
+            except np.linalg.LinAlgError:
+                self._arrived = True  # no way along the normal from here
+                return
+            pace[:] = speeds / max(1.0, float(np.max(np.abs(speeds) / m["joint_speed"])))
+        elif np.abs(self._speeds).max() < _REST:
+            self._mode[()] = BRAKED
+            close_brakes(self._model, self._data)
+
+
+_LOOP = (
+    "goal", "goal_speed", "goal_lower", "goal_upper", "proportional", "derivative", "torque_limit",
+)  # fmt: skip
+
+
+def close_brakes(model: Any, data: Any) -> None:
+    """Lock the tool's joints where they are."""
+    model.eq_data[:6, 0] = data.qpos[6:12]
+    data.eq_active[:6] = True
+
+
+def force_cap(config: CellConfig, tissue_speed: float) -> float:
+    """Largest contact force that can occur whatever is commanded [N].
+
+    From the trip at the latest at ``protection.force``, the tip goes on at no more than its speed
+    limit and what the motors add until they have turned round, then slows down by no less than they
+    can at home; meanwhile the tissue comes towards it:
+
+        v = v_limit + a (h + 2 lag)       t = h + 2 lag + (v + v_tissue) / b
+        cap = F_limit + K (v (h + 2 lag) + v^2 / (2 b) + v_tissue t) + D (v + v_tissue)
+
+    a is the largest acceleration of the tip, b the smallest deceleration along any axis; infinite
+    without protection.
+
+    Args:
+        config: of the cell.
+        tissue_speed: largest speed of the tissue [m/s].
+    """
+    own = config.protection
+    if not own.enabled:
+        return math.inf
+    _, _, hardest, braking = _strength()
+    react = config.period / config.substeps + 2.0 * config.imperfections.torque_lag
+    speed = own.tip_speed + hardest * react
+    time = react + (speed + tissue_speed) / braking
+    way = speed * react + speed**2 / (2.0 * braking) + tissue_speed * time
+    return own.force + config.contact.stiffness * way + config.contact.damping * (
+        speed + tissue_speed
+    )
+
+
+@cache
+def _strength() -> tuple[FloatArray, FloatArray, float, float]:
+    """What the tool's motors can do at home.
+
+    Returns the inertia of each joint ``(6,)`` [kg m^2], the torque that gravity leaves to it
+    ``(6,)`` [N m], the largest acceleration of the tip along an axis and the smallest deceleration
+    of a tip that moves along one [m/s^2].
+    """
+    arm, q = build_arm_model(VIPER_S650, TOOL), home_configuration(VIPER_S650, TOOL)
+    model, data = arm.model, arm.model.createData()
+    M = np.triu(pin.crba(model, data, q))
+    M = M + np.triu(M, 1).T
+    limit = VIPER_S650.torque_limit.si
+    reserve = limit - np.abs(pin.computeGeneralizedGravity(model, data, q))
+    J = pin.computeFrameJacobian(model, data, q, arm.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    hardest = float((np.abs(J[:3] @ np.linalg.inv(M)) @ limit).max())
+    # Each motor brakes its joint: power over momentum, for joint speeds that move the tip at 1 m/s.
+    speeds = np.linalg.solve(J, np.eye(6)[:, :3])
+    braking = float(min(reserve @ np.abs(s) / (s @ M @ s) for s in speeds.T))
+    return np.diag(M).copy(), reserve, hardest, braking

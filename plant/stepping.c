@@ -1,0 +1,163 @@
+/* One control period of the cell: physics steps, the contact's law, the guard.
+
+   The text is compiled behind the struct that plant/memory.py writes. It does what plant/contact.py
+   and plant/protection.py do, operation by operation, so that both give the same bits: no operation
+   may be reordered or fused here that is not there (-ffp-contract=off). */
+
+enum { OFF, WATCHING, RETRACTING, BRAKED };
+enum { NONE, HEARTBEAT, JOINT_RANGE, JOINT_SPEED, TIP_SPEED, VELOCITY, ORIENTATION, HEART, FORCE };
+
+typedef void (*mujoco_step)(const void *model, void *data);
+
+static void set_law(memory *m, int axis, double offset, double slope, double slope_speed) {
+  double *row = m->law + axis * m->law_stride;
+  row[0] = offset;
+  row[1] = slope;
+  row[2] = slope_speed;
+}
+
+static void follow(memory *m) {
+  double x = m->length[0], y = m->length[1], z = m->length[2];
+  if (z >= 0.0) {
+    if (m->touching) {
+      for (int i = 0; i < 3; i++) set_law(m, i, 0.0, 0.0, 0.0);
+      m->touching = m->sticks = 0;
+    }
+    return;
+  }
+  if (!m->touching) {
+    m->anchor[0] = x;
+    m->anchor[1] = y;
+    m->touching = 1;
+  }
+  double stiffness = m->stiffness, damping = m->damping;
+  double spring = -stiffness * z, damper = -damping * m->speed[2];
+  double kept = damper > -spring ? damper : -spring;
+  double normal = spring + (kept < spring ? kept : spring);
+  double most = m->grip * normal;
+  double pull_x = stiffness * (x - m->anchor[0]), pull_y = stiffness * (y - m->anchor[1]);
+  double size = sqrt(pull_x * pull_x + pull_y * pull_y);
+  int dragged = size > most;
+  if (dragged) {
+    pull_x = pull_x * most / size;
+    pull_y = pull_y * most / size;
+    m->anchor[0] = x - pull_x / stiffness;
+    m->anchor[1] = y - pull_y / stiffness;
+  }
+  pull_x = pull_x + damping * m->speed[0];
+  pull_y = pull_y + damping * m->speed[1];
+  size = sqrt(pull_x * pull_x + pull_y * pull_y);
+  int slips = size > most, yields = fabs(damper) > spring;
+  if (m->sticks && !(dragged || slips || yields)) return;
+  if (slips) {
+    set_law(m, 0, -pull_x * most / size, 0.0, 0.0);
+    set_law(m, 1, -pull_y * most / size, 0.0, 0.0);
+  } else {
+    set_law(m, 0, stiffness * m->anchor[0], -stiffness, -damping);
+    set_law(m, 1, stiffness * m->anchor[1], -stiffness, -damping);
+  }
+  if (yields)
+    set_law(m, 2, normal, 0.0, 0.0);
+  else
+    set_law(m, 2, 0.0, -stiffness, -damping);
+  m->sticks = !(slips || yields);
+}
+
+static double force_size(const memory *m) {
+  double square = 0.0;
+  for (int i = 0; i < 3; i++) {
+    const double *row = m->law + i * m->law_stride;
+    double along = row[1] * m->length[i] + row[2] * m->speed[i] + row[0];
+    square += along * along;
+  }
+  return sqrt(square);
+}
+
+static void trip(memory *m, int cause, int joint, double value, double limit) {
+  m->mode = RETRACTING;
+  m->cause = cause;
+  m->joint = joint;
+  m->value = value;
+  m->limit = limit;
+  m->unilateral = 1;
+  m->depth = -m->length[2];
+  for (int i = 0; i < 3; i++) {
+    m->normal[i] = m->surface_frame[3 * i + 2];
+    m->tip_tripped[i] = m->tip[i];
+  }
+  for (int i = 0; i < 6; i++) {
+    m->goal[i] = m->qpos[6 + i];
+    m->goal_speed[i] = 0.0;
+  }
+}
+
+static void watch(memory *m, int64_t step) {
+  m->step = step;
+  const double *q = m->qpos + 6, *speeds = m->qvel + 6;
+  double square = 0.0, error = 0.0, turned = 0.0;
+  for (int i = 0; i < 3; i++) {
+    double v = (m->tip[i] - m->tip_before[i]) / m->timestep;
+    m->tip_before[i] = m->tip[i];
+    m->expected[i] = m->decay * m->expected[i] + m->gain * m->asked[i];
+    square += v * v;
+    error += (v - m->expected[i]) * (v - m->expected[i]);
+  }
+  for (int i = 0; i < 6; i++) m->heart[i] += m->heart_step[i];
+  for (int i = 0; i < 9; i++) {
+    double difference = m->tip_frame[i] - m->frame_held[i];
+    turned += difference * difference;
+  }
+
+  for (int i = 0; i < 6; i++) {
+    double travel = m->stopping[i] * speeds[i] * speeds[i] + m->reaction * fabs(speeds[i]);
+    double high = speeds[i] > 0.0 ? q[i] + travel : q[i];
+    double low = speeds[i] < 0.0 ? q[i] - travel : q[i];
+    if (!(high <= m->upper[i])) return trip(m, JOINT_RANGE, i, high, m->upper[i]);
+    if (!(low >= m->lower[i])) return trip(m, JOINT_RANGE, i, low, m->lower[i]);
+  }
+  for (int i = 0; i < 6; i++)
+    if (!(fabs(speeds[i]) <= m->joint_speed[i]))
+      return trip(m, JOINT_SPEED, i, fabs(speeds[i]), m->joint_speed[i]);
+  if (!(sqrt(square) <= m->tip_speed)) return trip(m, TIP_SPEED, -1, sqrt(square), m->tip_speed);
+  if (!(sqrt(error) <= m->tracking_velocity))
+    return trip(m, VELOCITY, -1, sqrt(error), m->tracking_velocity);
+  if (!(sqrt(turned) <= m->tracking_orientation))
+    return trip(m, ORIENTATION, -1, sqrt(turned), m->tracking_orientation);
+  for (int i = 0; i < 6; i++)
+    if (!(fabs(m->qpos[i] - m->heart[i]) <= m->tracking_heart))
+      return trip(m, HEART, i, fabs(m->qpos[i] - m->heart[i]), m->tracking_heart);
+  double force = force_size(m);
+  if (!(force <= m->force)) trip(m, FORCE, -1, force, m->force);
+}
+
+static void retract(memory *m) {
+  const double *q = m->qpos + 6, *speeds = m->qvel + 6;
+  for (int i = 0; i < 6; i++) {
+    double goal = m->goal[i] + m->goal_speed[i] * m->timestep;
+    if (goal > q[i] + m->leash) goal = q[i] + m->leash;
+    if (goal < q[i] - m->leash) goal = q[i] - m->leash;
+    if (goal > m->goal_upper[i]) goal = m->goal_upper[i];
+    if (goal < m->goal_lower[i]) goal = m->goal_lower[i];
+    m->goal[i] = goal;
+    double torque = m->proportional[i] * (goal - q[i]) +
+                    m->derivative[i] * (m->goal_speed[i] - speeds[i]) + m->bias[i];
+    if (torque > m->torque_limit[i]) torque = m->torque_limit[i];
+    if (torque < -m->torque_limit[i]) torque = -m->torque_limit[i];
+    m->ctrl[i] = torque;
+  }
+}
+
+void advance(memory *m, mujoco_step step1, mujoco_step step2, const void *model, void *data) {
+  for (int64_t i = 0; i < m->substeps; i++) {
+    step2(model, data);
+    step1(model, data);
+    if (m->unilateral) follow(m);
+    double force = force_size(m);
+    if (!(force <= m->peak)) m->peak = force;
+    if (m->mode == WATCHING) {
+      watch(m, i + 1);
+      if (m->mode == RETRACTING) follow(m);  /* released at once */
+    }
+    if (m->mode == RETRACTING) retract(m);
+  }
+}
