@@ -11,7 +11,8 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code.
 
-    0: done; 1: the simulation failed on the way; 2: bad input; 130: Ctrl-C.
+    0: done; 1: the simulation failed on the way, or the protection tripped; 2: bad input;
+    130: Ctrl-C.
     """
     problem = complaint()
     if problem is not None:

@@ -118,6 +118,7 @@ def _row(experiment: Experiment, schedule: Schedule, errors: NDArray[np.float64]
     return _head(scenario) | {
         "complete": summary["complete"],
         "error": experiment.stopped,
+        "trip": summary["trip"],
         "axes": {
             axis: {
                 "rms": figures["compensated"]["rms"],

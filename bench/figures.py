@@ -41,10 +41,17 @@ def draw_forces(log: Log, path: Path) -> None:
                 time, setpoint, color=_SETPOINT, linewidth=0.8, linestyle="--", label="setpoint"
             )
             reference = setpoint if panel is middle else log.setpoint[0, j]
-            panel.set_title(f"{axis}, {what}: error {_figures(force - reference)}", fontsize=9)
+            error = force - reference
+            if panel is middle:
+                error = error[: log.counted]
+            panel.set_title(f"{axis}, {what}: error {_figures(error)}", fontsize=9)
         lower.plot(time, controlled - setpoint, color=_CONTROLLED, linewidth=0.6)
         lower.set_title(f"{axis}, error of the controlled force, enlarged", fontsize=9)
         lower.set_xlabel("time [s]")
+        if log.trip is not None:
+            for panel in (middle, lower):
+                panel.axvline(log.trip.time, color=_SETPOINT, linestyle=":", linewidth=1.0)
+            middle.set_title(f"{middle.get_title()}, tripped: {log.trip.cause}", fontsize=9)
         for panel in (upper, middle, lower):
             panel.grid(alpha=0.3)
     for row, what in enumerate(("contact force [N]", "contact force [N]", "force error [N]")):

@@ -196,7 +196,7 @@ class _Recorder:
         self.measured.append(self._cell.measure())
         return self.measured[-1]
 
-    def apply(self, command: Array) -> None:
+    def apply(self, command: Array | None) -> None:
         self._cell.apply(command)
 
     def truth(self) -> Truth:

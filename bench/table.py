@@ -7,6 +7,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
+from plant.interface import Cause, Trip
 from qpmpc.backends import BackendInfo
 from scenarios.config import Scenario
 from scenarios.metrics import PAPER, Summary
@@ -72,6 +73,29 @@ def timing_lines(summary: Summary) -> list[str]:
     return lines
 
 
+def trip_line(trip: Trip) -> str:
+    """What the protection tripped on, in one line."""
+    found = f"{trip.value:.4g}, limit {trip.limit:.4g} {_TRIP_UNITS.get(trip.cause, '')}".rstrip()
+    where = f" of joint {trip.joint}" if trip.joint else ""
+    return (
+        f"the protection tripped at t = {trip.time:.6g} s on cell.protection."
+        f"{_TRIP_KEYS.get(trip.cause, trip.cause)}{where} ({found}); the tool was retracted"
+    )
+
+
+_TRIP_KEYS = {Cause.JOINT_RANGE: "joint_margin"}
+_TRIP_UNITS = {
+    Cause.HEARTBEAT: "cycles",
+    Cause.JOINT_RANGE: "rad",
+    Cause.JOINT_SPEED: "rad/s",
+    Cause.TIP_SPEED: "m/s",
+    Cause.TRACKING_VELOCITY: "m/s",
+    Cause.TRACKING_ORIENTATION: "rad",
+    Cause.TRACKING_HEART: "rad",
+    Cause.FORCE: "N",
+}
+
+
 def comparison_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     """What each backend made of the same run: force, bounds, solver."""
     rows = [row for row in rows if "axes" in row]
@@ -123,6 +147,8 @@ def comparison_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
         fallbacks = {name: n for name, n in row["source"].items() if name != "solution"}
         if any(fallbacks.values()):
             line += f"; command from {_counts(fallbacks)}"
+        if row["trip"]:
+            line += f"; tripped at {row['trip']['time']:.6g} s on {row['trip']['cause']}"
         if row["without_reference"]:
             line += f"; no reference in {row['without_reference']} cycles"
         lines.append(line)

@@ -117,6 +117,7 @@ class Cell:
         self._surface = data.site("heart_surface").xpos
         self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
         self._torque, self._saturated = np.zeros(6), False
+        self._line: deque[tuple[FloatArray, FloatArray]] = deque()
         self._follows = np.isin(np.arange(3), [_AXES.index(axis) for axis in axes])
         self._protection = config.protection
         self._delay, self._resolution = flaws.delay, flaws.command_resolution
@@ -152,7 +153,7 @@ class Cell:
         self._read = self._sensor.read(self._force)
         self._tissue[:] = self._surface
         self._touching = self._contact.touching
-        self._peak_read, self._trip = float(self._peak), self._guard.trip
+        self._peak_read = float(self._peak)
         return Measurement(
             self._cycle * self.period,
             self._read.copy(),
@@ -212,7 +213,10 @@ class Cell:
         return True
 
     def truth(self) -> Truth:
-        """Return what is really there; torque and saturation are those of the last `apply`."""
+        """Return what is really there.
+
+        Torque, saturation and trip are those of the last `apply`.
+        """
         return Truth(
             self._force.copy(),
             self._tissue.copy(),
@@ -221,7 +225,7 @@ class Cell:
             self._touching,
             self._inner.qdot.copy(),
             self._peak_read,
-            self._trip,
+            self._guard.trip,
         )
 
     def joint_space(self, force: FloatArray, previous: FloatArray) -> JointSpace:

@@ -75,7 +75,7 @@ class Truth:
     """Largest magnitude of the contact force since the measurement before, at any physics step
     [N]."""
     trip: Trip | None = None
-    """What the protection tripped on, if it has."""
+    """What the protection has tripped on, the last `apply` included."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ functions in ``stepping.c``, which do the same operations in the same order on t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -159,8 +160,18 @@ class Guard:
 
     def watch(self, step: int) -> None:
         """Compare the state after physics step ``step`` of the period, from 1, with the limits."""
+        self._block["step"] = step
+        for within, cause, joint, value, limit in self._compared():
+            if not within:
+                self._trip(cause, joint, value, limit)
+                return
+
+    def _compared(self) -> Iterator[tuple[bool, Cause, int, float, float]]:
+        """Go through the limits: whether it is kept, its cause and joint, what was found, and it.
+
+        NaN keeps no limit.
+        """
         m = self._block
-        m["step"] = step
         square = error = turned = 0.0
         decay, gain, timestep = float(m["decay"]), float(m["gain"]), float(m["timestep"])
         before, expected = m["tip_before"], m["expected"]
@@ -182,31 +193,23 @@ class Guard:
             travel = stopping[i] * speed * speed + reaction * abs(speed)
             high = q[i] + travel if speed > 0.0 else q[i]
             low = q[i] - travel if speed < 0.0 else q[i]
-            if not high <= upper[i]:
-                return self._trip(Cause.JOINT_RANGE, i, high, upper[i])
-            if not low >= lower[i]:
-                return self._trip(Cause.JOINT_RANGE, i, low, lower[i])
+            yield high <= upper[i], Cause.JOINT_RANGE, i, high, upper[i]
+            yield low >= lower[i], Cause.JOINT_RANGE, i, low, lower[i]
         for i, (speed, most) in enumerate(zip(speeds, m["joint_speed"].tolist(), strict=True)):
-            if not abs(speed) <= most:
-                return self._trip(Cause.JOINT_SPEED, i, abs(speed), most)
-        for cause, value in (
+            yield abs(speed) <= most, Cause.JOINT_SPEED, i, abs(speed), most
+        for cause, size in (
             (Cause.TIP_SPEED, math.sqrt(square)),
             (Cause.TRACKING_VELOCITY, math.sqrt(error)),
             (Cause.TRACKING_ORIENTATION, math.sqrt(turned)),
         ):
             limit = float(m[cause.value])
-            if not value <= limit:
-                return self._trip(cause, -1, value, limit)
+            yield size <= limit, cause, -1, size, limit
         limit = float(m["tracking_heart"])
-        for i, (x, wanted) in enumerate(
-            zip(self._data.qpos[:6].tolist(), self._heart.tolist(), strict=True)
-        ):
-            if not abs(x - wanted) <= limit:
-                return self._trip(Cause.TRACKING_HEART, i, abs(x - wanted), limit)
+        heart = zip(self._data.qpos[:6].tolist(), self._heart.tolist(), strict=True)
+        for i, (x, wanted) in enumerate(heart):
+            yield abs(x - wanted) <= limit, Cause.TRACKING_HEART, i, abs(x - wanted), limit
         force, limit = self._contact.size(), float(m["force"])
-        if not force <= limit:
-            return self._trip(Cause.FORCE, -1, force, limit)
-        return None
+        yield force <= limit, Cause.FORCE, -1, force, limit
 
     def retract(self) -> None:
         """Command the motors for the next physics step: goals on a leash, damped, weight borne."""
@@ -297,8 +300,8 @@ def force_cap(config: CellConfig, tissue_speed: float) -> float:
     speed = own.tip_speed + hardest * react
     time = react + (speed + tissue_speed) / braking
     way = speed * react + speed**2 / (2.0 * braking) + tissue_speed * time
-    return own.force + config.contact.stiffness * way + config.contact.damping * (
-        speed + tissue_speed
+    return (
+        own.force + config.contact.stiffness * way + config.contact.damping * (speed + tissue_speed)
     )
 
 

@@ -15,6 +15,7 @@ from scenarios.config import Scenario
 from scenarios.log import Log
 from scenarios.loop import Stop, Watch, control_loop, watch_loop
 from scenarios.motion import load_motion
+from scenarios.physics import physics_loop
 from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
 
@@ -68,10 +69,17 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
     wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
+    library = physics_loop().library
 
     def another_cell() -> Cell:
         return Cell(
-            scenario.cell, motion, force=wished, seed=scenario.seed, axes=scenario.axes, heart=heart
+            scenario.cell,
+            motion,
+            force=wished,
+            seed=scenario.seed,
+            axes=scenario.axes,
+            heart=heart,
+            library=library,
         )
 
     cell = another_cell()

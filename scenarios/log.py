@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from plant.interface import Measurement, Truth
+from plant.interface import Cause, Measurement, Trip, Truth
 from qpmpc.controller import Step
 from qpmpc.fallback import Source
 from qpmpc.status import Status
@@ -20,6 +20,7 @@ _STATUSES = tuple(Status)
 _CODES = {status: code for code, status in enumerate(_STATUSES)}
 _SOURCES = tuple(Source)
 _SOURCE_CODES = {source: code for code, source in enumerate(_SOURCES)}
+_TRIPS = ("none", *Cause)
 
 
 class Log:
@@ -40,6 +41,7 @@ class Log:
         self.time = np.zeros(cycles)
         self.setpoint = np.zeros((cycles, n))
         self.force = np.zeros((cycles, 3))
+        self.force_peak = np.zeros(cycles)
         self.force_measured = np.zeros((cycles, 3))
         self.force_uncompensated = np.full((cycles, 3), np.nan)
         self.force_predicted = np.zeros((cycles, n))
@@ -50,6 +52,8 @@ class Log:
         self.torque = np.zeros((cycles, 6))
         self.joint_velocity = np.zeros((cycles, 6))
         self.touching = np.zeros(cycles, dtype=bool)
+        self.trip: Trip | None = None
+        self.tripped = np.zeros(cycles, dtype=bool)
         self.torque_saturated = np.zeros(cycles, dtype=bool)
         self.command_saturated = np.zeros(cycles, dtype=bool)
         self.slack = np.zeros((cycles, len(self.bounds)))
@@ -77,6 +81,7 @@ class Log:
         self.time[k] = measurement.time
         self.setpoint[k] = setpoint
         self.force[k] = truth.force
+        self.force_peak[k] = truth.force_peak
         self.force_measured[k] = measurement.force
         self.force_predicted[k] = step.predicted[0]
         self.tissue[k] = truth.tissue
@@ -86,6 +91,8 @@ class Log:
         self.torque[k] = truth.torque
         self.joint_velocity[k] = truth.joint_velocity
         self.touching[k] = truth.touching
+        if truth.trip is not None:
+            self.trip, self.tripped[k] = truth.trip, True
         self.torque_saturated[k] = truth.saturated
         self.command_saturated[k] = saturated
         if self.bounds:
@@ -100,6 +107,12 @@ class Log:
         self.solve_time[k] = step.times.solve
         self.cycle_time[k] = cycle_time
         self.cycles = k + 1
+
+    @property
+    def counted(self) -> int:
+        """How many cycles count: those that began before the protection took the tool away."""
+        end = self.cycles
+        return end if self.trip is None else end - int(self.tripped[:end].sum()) + 1
 
     def status_counts(self) -> dict[str, int]:
         """How many cycles ended with each status, those that occurred."""
@@ -129,6 +142,7 @@ class Log:
         add("time", "s", self.time)
         add("setpoint", "N", self.setpoint, self.axes)
         add("force", "N", self.force, _AXES)
+        add("force_peak", "N", self.force_peak)
         add("force_measured", "N", self.force_measured, _AXES)
         add("force_uncompensated", "N", self.force_uncompensated, _AXES)
         add("force_predicted", "N", self.force_predicted, self.axes)
@@ -148,10 +162,12 @@ class Log:
         for name, names, chosen in (
             ("status", _STATUSES, self.status),
             ("source", _SOURCES, self.source),
+            ("trip", _TRIPS, self.tripped * _TRIPS.index(self.trip.cause if self.trip else "none")),
         ):
             labels = pa.array([str(s) for s in names])
-            codes = pa.array(chosen[:end])
+            codes = pa.array(chosen[:end].astype(np.int8))
             columns.append((name, "1", pa.DictionaryArray.from_arrays(codes, labels)))
+        add("trip_time", "s", np.where(self.tripped, self.trip.time if self.trip else 0.0, np.nan))
         add("build_time", "s", self.build_time)
         add("solve_time", "s", self.solve_time)
         add("cycle_time", "s", self.cycle_time)

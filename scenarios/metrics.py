@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenarios.experiment import Experiment
 from scenarios.log import Log
+from scenarios.physics import physics_loop
 from scenarios.schedule import BoundName, Schedule
 
 Array = NDArray[np.float64]
@@ -43,16 +44,17 @@ def summarise(experiment: Experiment) -> Summary:
     """Return everything that goes into ``summary.json``, with stable keys.
 
     Errors are force minus setpoint, by the true force, over every cycle of the run; without
-    compensation, force minus the setpoint at the start. Figures that do not exist (an interrupted
-    run) are None.
+    compensation, force minus the setpoint at the start. After a trip of the protection no cycle
+    counts for errors, saturation, increments and violations. Figures that do not exist (an
+    interrupted run) are None.
     """
     scenario, log = experiment.scenario, experiment.log
-    end = log.cycles
+    end, counted = log.cycles, log.counted
     axes: Summary = {}
     for j, axis in enumerate(log.axes):
         i = "xyz".index(axis)
         held = statistics(log.force_uncompensated[:end, i] - log.setpoint[0, j])
-        controlled = statistics(log.force[:end, i] - log.setpoint[:end, j])
+        controlled = statistics(log.force[:counted, i] - log.setpoint[:counted, j])
         axes[axis] = {
             "uncompensated": held,
             "compensated": controlled,
@@ -66,6 +68,9 @@ def summarise(experiment: Experiment) -> Summary:
         "cycles": end,
         "complete": experiment.stopped is None,
         "stopped": experiment.stopped,
+        "trip": None if log.trip is None else {"cause": str(log.trip.cause), "time": log.trip.time},
+        "counted": counted,
+        "force_peak": float(log.force_peak[:end].max(initial=0.0)),
         "axes": axes,
         "paper": PAPER,
         "timing": {
@@ -85,16 +90,17 @@ def summarise(experiment: Experiment) -> Summary:
             },
         },
         "saturation": {
-            "torque": _share(log.torque_saturated[:end]),
-            "command": _share(log.command_saturated[:end]),
+            "torque": _share(log.torque_saturated[:counted]),
+            "command": _share(log.command_saturated[:counted]),
         },
         "increment_rms": {
-            axis: _rms(np.diff(log.command[:end, j], prepend=0.0))
+            axis: _rms(np.diff(log.command[:counted, j], prepend=0.0))
             for j, axis in enumerate(log.axes)
         },
         "violations": violations(log, experiment.schedule, period),
         "status": log.status_counts(),
         "source": log.source_counts(),
+        "physics": physics_loop().told,
         "versions": versions(),
     }
 
@@ -117,7 +123,7 @@ def violations(log: Log, schedule: Schedule, period: float) -> Summary:
     controller tightens by its margins: cycles in which any axis is beyond, the worst of them in the
     unit of the bound, and the excess summed over axes and time.
     """
-    end = log.cycles
+    end = log.counted
     index = ["xyz".index(axis) for axis in log.axes]
     found: dict[BoundName, Array] = {
         "force": log.force[:end, index],

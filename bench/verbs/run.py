@@ -11,7 +11,7 @@ from rich.console import Console
 from bench.cli import INTERRUPTED
 from bench.figures import draw_forces
 from bench.progress import Reporter, ctrl_c
-from bench.table import force_table, timing_lines
+from bench.table import force_table, timing_lines, trip_line
 from bench.verbs._asked import FAILED, load, now
 from qpmpc.backends import backend_class
 from scenarios import run_experiment, summarise
@@ -69,8 +69,11 @@ class Run:
             for line in timing_lines(summary):
                 console.print(line, highlight=False)
             console.print(f"results: {folder}", highlight=False, soft_wrap=True)
+        trip = experiment.log.trip
+        if trip is not None:
+            print(f"pulsempc: {trip_line(trip)}", file=sys.stderr)
         if experiment.stopped is None:
-            return 0
+            return FAILED if trip else 0
         print(
             f"pulsempc: {experiment.stopped} after {experiment.log.cycles} of {scenario.cycles} "
             f"controlled cycles; what was done until then is in {folder}",

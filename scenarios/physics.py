@@ -1,0 +1,29 @@
+"""The physics loop, compiled where a compiler is: the plant has the text, `qpmpc` the toolchain."""
+
+import ctypes
+from dataclasses import dataclass
+from functools import cache
+
+from plant.stepping import FLAGS, source_text
+from qpmpc.errors import QpmpcError
+from qpmpc.native import compile_library
+
+
+@dataclass(frozen=True)
+class PhysicsLoop:
+    """What a cell is given to run its physics with."""
+
+    library: ctypes.CDLL | None
+    """None: the loop runs in Python, with the same result."""
+    told: str
+    """"compiled", or "python" and why."""
+
+
+@cache
+def physics_loop() -> PhysicsLoop:
+    """Compile the loop, or find it compiled before; once in a process."""
+    try:
+        built = compile_library(source_text(), name="physics", flags=FLAGS)
+    except QpmpcError as error:
+        return PhysicsLoop(None, f"python ({error})")
+    return PhysicsLoop(built.handle, "compiled")
