@@ -43,6 +43,10 @@ _REST = 0.02
 """Joint speed at which the brakes can close [rad/s]."""
 _SAFETY = 0.5
 """Share of the deceleration that a joint has at home on which its stopping distance counts [-]."""
+_WEIGHTS = np.array([[1.0], [1.0], [1.0], [0.1], [0.1], [0.1]])
+"""Of the tip's velocity, and of the instrument's turning on the way back [-, m/rad]."""
+_DAMPING = 0.01**2 * np.eye(6)
+"""Square of the gain below which the way back takes a direction for impossible [m^2/rad^2]."""
 _FLAT = 2.0 * math.sqrt(2.0)
 """Frobenius norm of the difference of two rotations half a turn apart [-]."""
 
@@ -250,14 +254,13 @@ class Guard:
             self._arrived = done >= travel or bool((at_end & (pace != 0.0)).any())
         pace[:] = 0.0
         if not self._arrived:
+            # Damped least squares: where the arm is stretched it goes another way round, turns the
+            # instrument or is slow, but its tip is never led back into the tissue.
             J = self._jacobian
             mujoco.mj_jacSite(self._model, self._data, J[:3], J[3:], self._site)
+            A = J[:, 6:12] * _WEIGHTS
             wanted = np.concatenate([self._config.retraction_speed * m["normal"], np.zeros(3)])
-            try:
-                speeds = np.linalg.solve(J[:, 6:12], wanted)
-            except np.linalg.LinAlgError:
-                self._arrived = True  # no way along the normal from here
-                return
+            speeds = A.T @ np.linalg.solve(A @ A.T + _DAMPING, wanted)
             pace[:] = speeds / max(1.0, float(np.max(np.abs(speeds) / m["joint_speed"])))
         elif np.abs(self._speeds).max() < _REST:
             self._mode[()] = BRAKED

@@ -16,6 +16,7 @@ from plant import (
     ContactConfig,
     ImperfectionConfig,
     Measurement,
+    ProtectionConfig,
     SensorConfig,
     ToolConfig,
 )
@@ -95,6 +96,7 @@ def _changed(config: CellConfig, **changes: Any) -> CellConfig:
         ("contact", ContactConfig),
         ("tool", ToolConfig),
         ("imperfections", ImperfectionConfig),
+        ("protection", ProtectionConfig),
     ):
         mine = {k: changes.pop(k) for k in list(changes) if k in kind.__dataclass_fields__}
         parts[part] = replace(getattr(config, part), **mine)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -11,7 +11,7 @@ import numpy as np
 
 from plant import Cell, CellConfig, ContactConfig, ImperfectionConfig, Trip, force_cap
 from plant.cell import heart_programme
-from plant.viper import CONTACT_POINT, VIPER_S650
+from plant.viper import VIPER_S650
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Controller = Callable[[int, Any], Array | None]
@@ -202,7 +202,9 @@ class Ring:
         contact = self.config.contact
         load = np.zeros(3) if contact.gap else self.force / contact.stiffness
         self.start = self.motion.position[0] + load + [0.0, 0.0, contact.gap]
-        self.cap = force_cap(self.config, 1.1 * float(np.linalg.norm(self.motion.velocity, axis=1).max()))
+        self.cap = force_cap(
+            self.config, 1.1 * float(np.linalg.norm(self.motion.velocity, axis=1).max())
+        )
 
     def fight(self, controller: Controller, worst: Worst) -> Trip | None:
         """Let one controller do its worst; return what the protection made of it.

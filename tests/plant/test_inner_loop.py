@@ -44,7 +44,9 @@ def test_the_tip_is_a_unit_mass_with_damping_under_any_contact_force(
 ):
     """Eqs. (5), (6) and reading 1: v' = u - K2 v, with the contact force cancelled."""
     u = 3.0
-    trace = perfect_run(still(CYCLES), u * np.eye(3)[axis], force, velocity_damping=DAMPING)
+    trace = perfect_run(
+        still(CYCLES), u * np.eye(3)[axis], force, velocity_damping=DAMPING, enabled=False
+    )
     speed = u / DAMPING * (1.0 - np.exp(-DAMPING * TIME))
     # Within 1 %: the loop samples force and speed and holds them for a cycle.
     np.testing.assert_allclose(
@@ -149,7 +151,7 @@ def test_an_inertia_error_scales_the_gain(error, perfect, make_cell, still, driv
 
 def test_the_whole_compensation_is_the_friction_there_is(perfect, make_cell, still, drive):
     """Against MuJoCo's own friction on a moving arm; a share of the friction is a share of it."""
-    config = perfect(friction=1.0, friction_compensation=1.0, stiffness=1.0)
+    config = perfect(friction=1.0, friction_compensation=1.0, stiffness=1.0, enabled=False)
     cell = make_cell(config, still(150), force=np.zeros(3))
     drive(cell, (10.0, 14.0, 6.0), cycles=120)
     data = cell.data
@@ -191,7 +193,9 @@ def test_friction_is_compensated_for_the_speed_at_the_lead():
 def test_more_compensation_lets_the_tip_go_further(perfect, make_cell, still, drive):
     reached = []
     for friction, share in ((1.0, 0.0), (1.0, 0.5), (1.0, 0.8), (1.0, 1.0), (0.0, 0.0)):
-        config = perfect(friction=friction, friction_compensation=share, stiffness=1.0)
+        config = perfect(
+            friction=friction, friction_compensation=share, stiffness=1.0, enabled=False
+        )
         cell = make_cell(config, still(120), force=np.zeros(3))
         reached.append(drive(cell, (10.0, 14.0, 6.0)).velocity[-1])
     bare, half, usual, whole, frictionless = np.array(reached)
