@@ -5,16 +5,19 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test lint format setup clean help
+.PHONY: demo test test-hostile lint format setup clean help
 
 help:  ## list the verbs
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
 
 demo: $(VENV)/.installed  ## set up and run the paper's experiment
 	$(BIN)/pulsempc run paper
 
 test: $(VENV)/.installed-dev  ## set up and run the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+test-hostile: $(VENV)/.installed-dev  ## 10,000 hostile command sequences against the protection
+	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py
 
 lint: $(VENV)/.installed-dev  ## style, types, layers
 	$(BIN)/ruff check .

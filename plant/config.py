@@ -87,7 +87,7 @@ class ProtectionConfig:
     """Difference of the tip's velocity from the one that the commands ask for [m/s]."""
     tracking_orientation: Annotated[float, Gt(0), Le(3)] = 0.05
     """Angle between the instrument and its orientation at the start [rad]."""
-    tracking_heart: Annotated[float, Gt(0)] = 0.02
+    tracking_heart: Annotated[float, Gt(0)] = 0.01
     """Difference of Robot_Heart's joints from their programme [rad]."""
     force: Annotated[float, Gt(0)] = 30.0
     """Magnitude of the contact force [N]."""

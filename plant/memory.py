@@ -67,8 +67,9 @@ LAYOUT = np.dtype(
         ("goal_speed", np.float64, 6),
         ("goal_lower", np.float64, 6),
         ("goal_upper", np.float64, 6),
-        ("proportional", np.float64, 6),
-        ("derivative", np.float64, 6),
+        ("inertia", np.float64, 36),
+        ("stiff", np.float64),
+        ("damp", np.float64),
         ("torque_limit", np.float64, 6),
         ("leash", np.float64),
     ]

@@ -43,6 +43,9 @@ _REST = 0.02
 """Joint speed at which the brakes can close [rad/s]."""
 _SAFETY = 0.5
 """Share of the deceleration that a joint has at home on which its stopping distance counts [-]."""
+_STRAIGHTENING = 20.0
+"""Rate at which the tip comes back to the normal through where it tripped, as friction leads it
+aside [1/s]."""
 _WEIGHTS = np.array([[1.0], [1.0], [1.0], [0.1], [0.1], [0.1]])
 """Of the tip's velocity, and of the instrument's turning on the way back [-, m/rad]."""
 _DAMPING = 0.01**2 * np.eye(6)
@@ -79,14 +82,14 @@ class Guard:
         block["tracking_orientation"] = _FLAT * math.sin(0.5 * own.tracking_orientation)
         block["tracking_heart"] = own.tracking_heart
         inertia, reserve, _, _ = _strength()
-        block["stopping"] = inertia / (2.0 * _SAFETY * reserve)
+        block["stopping"] = np.diag(inertia) / (2.0 * _SAFETY * reserve)
         block["reaction"] = step + 2.0 * lag
         damping = config.tool.velocity_damping
         block["decay"] = math.exp(-damping * step)
         block["gain"] = -math.expm1(-damping * step) / damping if damping > 0 else step
         bandwidth = min(_BANDWIDTH, _LAG_SHARE / lag) if lag > 0 else _BANDWIDTH
-        block["proportional"] = bandwidth**2 * inertia
-        block["derivative"] = 2.0 * bandwidth * inertia
+        block["inertia"] = inertia.ravel()
+        block["stiff"], block["damp"] = bandwidth**2, 2.0 * bandwidth
         block["torque_limit"], block["leash"] = VIPER_S650.torque_limit.si, _LEASH
         # Views: looking them up costs as much as a small matrix product.
         self._mode, self._asked = block["mode"], block["asked"]
@@ -216,23 +219,37 @@ class Guard:
         yield force <= limit, Cause.FORCE, -1, force, limit
 
     def retract(self) -> None:
-        """Command the motors for the next physics step: goals on a leash, damped, weight borne."""
+        """Command the motors for the next physics step: goals on a leash, damped, weight borne.
+
+        Where a motor has not enough torque, all get the same share of what they should have: the
+        arm then brakes later but on the same way, without a jerk aside.
+        """
         m = self._block
         timestep, leash = float(m["timestep"]), float(m["leash"])
-        rows = zip(
-            *(m[name].tolist() for name in _LOOP),
-            self._q.tolist(),
-            self._speeds.tolist(),
-            self._data.qfrc_bias[6:12].tolist(),
-            strict=True,
-        )
-        for i, (goal, pace, low, high, stiff, damp, most, q, speed, bias) in enumerate(rows):
-            aim = goal + pace * timestep
-            aim = min(max(min(aim, q + leash), q - leash), high)
-            aim = max(aim, low)
-            m["goal"][i] = aim
-            torque = stiff * (aim - q) + damp * (pace - speed) + bias
-            self._data.ctrl[6 + i] = max(min(torque, most), -most)
+        stiff, damp, share = float(m["stiff"]), float(m["damp"]), 1.0
+        ends = zip(m["goal_lower"].tolist(), m["goal_upper"].tolist(), strict=True)
+        goals, paces = m["goal"].tolist(), m["goal_speed"].tolist()
+        states = zip(self._q.tolist(), self._speeds.tolist(), ends, strict=True)
+        wanted = []
+        for i, (q, speed, (low, high)) in enumerate(states):
+            goal = goals[i] + paces[i] * timestep
+            goal = max(min(max(min(goal, q + leash), q - leash), high), low)
+            m["goal"][i] = goal
+            wanted.append(stiff * (goal - q) + damp * (paces[i] - speed))
+        torques = []
+        bias, limits = self._data.qfrc_bias[6:12].tolist(), m["torque_limit"].tolist()
+        for row, borne, limit in zip(
+            m["inertia"].reshape(6, 6).tolist(), bias, limits, strict=True
+        ):
+            torque = 0.0
+            for factor, want in zip(row, wanted, strict=True):
+                torque += factor * want
+            torques.append(torque)
+            room = max(limit - (borne if torque > 0.0 else -borne), 0.0)
+            if share * abs(torque) > room:
+                share = room / abs(torque)
+        for i, (borne, torque) in enumerate(zip(bias, torques, strict=True)):
+            self._data.ctrl[6 + i] = borne + share * torque
 
     def _trip(self, cause: Cause, joint: int, value: float, limit: float) -> None:
         m = self._block
@@ -248,8 +265,9 @@ class Guard:
         m = self._block
         pace = m["goal_speed"]
         travel = max(0.0, self._config.retraction + float(m["depth"]))
+        normal, way = m["normal"], self._tip - m["tip_tripped"]
+        done = float(normal @ way)
         if not self._arrived:
-            done = float(m["normal"] @ (self._tip - m["tip_tripped"]))
             at_end = (m["goal"] <= m["goal_lower"]) | (m["goal"] >= m["goal_upper"])
             self._arrived = done >= travel or bool((at_end & (pace != 0.0)).any())
         pace[:] = 0.0
@@ -259,17 +277,15 @@ class Guard:
             J = self._jacobian
             mujoco.mj_jacSite(self._model, self._data, J[:3], J[3:], self._site)
             A = J[:, 6:12] * _WEIGHTS
-            wanted = np.concatenate([self._config.retraction_speed * m["normal"], np.zeros(3)])
+            speed = self._config.retraction_speed
+            aside = _STRAIGHTENING * (way - done * normal)
+            aside *= speed / max(speed, float(np.linalg.norm(aside)))
+            wanted = np.concatenate([speed * normal - aside, np.zeros(3)])
             speeds = A.T @ np.linalg.solve(A @ A.T + _DAMPING, wanted)
             pace[:] = speeds / max(1.0, float(np.max(np.abs(speeds) / m["joint_speed"])))
         elif np.abs(self._speeds).max() < _REST:
             self._mode[()] = BRAKED
             close_brakes(self._model, self._data)
-
-
-_LOOP = (
-    "goal", "goal_speed", "goal_lower", "goal_upper", "proportional", "derivative", "torque_limit",
-)  # fmt: skip
 
 
 def close_brakes(model: Any, data: Any) -> None:
@@ -312,19 +328,18 @@ def force_cap(config: CellConfig, tissue_speed: float) -> float:
 def _strength() -> tuple[FloatArray, FloatArray, float, float]:
     """What the tool's motors can do at home.
 
-    Returns the inertia of each joint ``(6,)`` [kg m^2], the torque that gravity leaves to it
-    ``(6,)`` [N m], the largest acceleration of the tip along an axis and the smallest deceleration
-    of a tip that moves along one [m/s^2].
+    Returns the joint-space inertia ``(6, 6)`` [kg m^2], the torque that gravity leaves to each
+    joint ``(6,)`` [N m], the largest acceleration of the tip along an axis and the smallest
+    deceleration of a tip that moves along one and is braked as `Guard.retract` brakes [m/s^2].
     """
     arm, q = build_arm_model(VIPER_S650, TOOL), home_configuration(VIPER_S650, TOOL)
     model, data = arm.model, arm.model.createData()
-    M = np.triu(pin.crba(model, data, q))
-    M = M + np.triu(M, 1).T
+    inertia = np.triu(pin.crba(model, data, q))
+    inertia = inertia + np.triu(inertia, 1).T
     limit = VIPER_S650.torque_limit.si
     reserve = limit - np.abs(pin.computeGeneralizedGravity(model, data, q))
     J = pin.computeFrameJacobian(model, data, q, arm.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-    hardest = float((np.abs(J[:3] @ np.linalg.inv(M)) @ limit).max())
-    # Each motor brakes its joint: power over momentum, for joint speeds that move the tip at 1 m/s.
-    speeds = np.linalg.solve(J, np.eye(6)[:, :3])
-    braking = float(min(reserve @ np.abs(s) / (s @ M @ s) for s in speeds.T))
-    return np.diag(M).copy(), reserve, hardest, braking
+    hardest = float((np.abs(J[:3] @ np.linalg.inv(inertia)) @ limit).max())
+    # Torques for 1 m/s^2 along each axis: the weakest motor says how much more there can be.
+    torques = np.abs(inertia @ np.linalg.solve(J, np.eye(6)[:, :3]))
+    return inertia, reserve, hardest, float((reserve / torques.max(axis=1)).min())

@@ -132,6 +132,7 @@ static void watch(memory *m, int64_t step) {
 
 static void retract(memory *m) {
   const double *q = m->qpos + 6, *speeds = m->qvel + 6;
+  double wanted[6], torque[6], share = 1.0;
   for (int i = 0; i < 6; i++) {
     double goal = m->goal[i] + m->goal_speed[i] * m->timestep;
     if (goal > q[i] + m->leash) goal = q[i] + m->leash;
@@ -139,12 +140,16 @@ static void retract(memory *m) {
     if (goal > m->goal_upper[i]) goal = m->goal_upper[i];
     if (goal < m->goal_lower[i]) goal = m->goal_lower[i];
     m->goal[i] = goal;
-    double torque = m->proportional[i] * (goal - q[i]) +
-                    m->derivative[i] * (m->goal_speed[i] - speeds[i]) + m->bias[i];
-    if (torque > m->torque_limit[i]) torque = m->torque_limit[i];
-    if (torque < -m->torque_limit[i]) torque = -m->torque_limit[i];
-    m->ctrl[i] = torque;
+    wanted[i] = m->stiff * (goal - q[i]) + m->damp * (m->goal_speed[i] - speeds[i]);
   }
+  for (int i = 0; i < 6; i++) {
+    torque[i] = 0.0;
+    for (int j = 0; j < 6; j++) torque[i] += m->inertia[6 * i + j] * wanted[j];
+    double room = m->torque_limit[i] - (torque[i] > 0.0 ? m->bias[i] : -m->bias[i]);
+    if (!(room > 0.0)) room = 0.0;
+    if (share * fabs(torque[i]) > room) share = room / fabs(torque[i]);
+  }
+  for (int i = 0; i < 6; i++) m->ctrl[i] = m->bias[i] + share * torque[i];
 }
 
 void advance(memory *m, mujoco_step step1, mujoco_step step2, const void *model, void *data) {

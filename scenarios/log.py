@@ -125,7 +125,11 @@ class Log:
         return {str(s): int(c) for s, c in zip(_SOURCES, counts, strict=True)}
 
     def table(self) -> pa.Table:
-        """Return the rows so far; every column's metadata has its unit."""
+        """Return the rows so far; every column's metadata has its unit.
+
+        That of ``trip``, what the protection had tripped on by the end of the row's cycle, has the
+        ``time`` [s] too.
+        """
         end = self.cycles
         columns: list[tuple[str, str, pa.Array]] = []
 
@@ -167,12 +171,15 @@ class Log:
             labels = pa.array([str(s) for s in names])
             codes = pa.array(chosen[:end].astype(np.int8))
             columns.append((name, "1", pa.DictionaryArray.from_arrays(codes, labels)))
-        add("trip_time", "s", np.where(self.tripped, self.trip.time if self.trip else 0.0, np.nan))
         add("build_time", "s", self.build_time)
         add("solve_time", "s", self.solve_time)
         add("cycle_time", "s", self.cycle_time)
+        more = {"trip": {"time": f"{self.trip.time:.9g}"}} if self.trip else {}
         schema = pa.schema(
-            [pa.field(name, data.type, metadata={"unit": unit}) for name, unit, data in columns]
+            [
+                pa.field(name, data.type, metadata={"unit": unit} | more.get(name, {}))
+                for name, unit, data in columns
+            ]
         )
         return pa.table([data for _, _, data in columns], schema=schema)
 

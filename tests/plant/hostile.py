@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -93,7 +94,7 @@ def cruise(rng: np.random.Generator) -> Controller:
 
 
 def ram(rng: np.random.Generator) -> Controller:
-    """Just below the speed limit onto the tissue, and full thrust shortly before the force trips."""
+    """Just below the speed limit onto the tissue, and full thrust before the force trips."""
     d = direction(rng)
     d[2] = -abs(d[2]) - 0.3
     d /= np.linalg.norm(d)
@@ -174,13 +175,11 @@ class Worst:
     """What came nearest to breaking a promise, over many sequences."""
 
     sequences: int = 0
-    tripped: dict[str, int] = None  # type: ignore[assignment]
+    tripped: Counter[str] = field(default_factory=Counter)
     force: float = 0.0
     share_of_cap: float = 0.0
     room_in_range: float = np.inf
-
-    def __post_init__(self) -> None:
-        self.tripped = {}
+    """[rad]"""
 
 
 class Ring:
@@ -241,12 +240,12 @@ class Ring:
             cell.apply(controller(k, measurement))
         worst.sequences += 1
         name = str(trip.cause) if trip else "none"
-        worst.tripped[name] = worst.tripped.get(name, 0) + 1
+        worst.tripped[name] += 1
         return trip
 
 
 def exceeded(cell: Cell, config: CellConfig, force: Array) -> list[str]:
-    """Limits that the state of this instant exceeds by its own reckoning, a little tolerance off."""
+    """Limits that the state of this instant exceeds, by quantities of MuJoCo's own."""
     own, found = config.protection, []
     data, model = cell.data, cell.model
     q, speeds = data.qpos[6:12], data.qvel[6:12]
@@ -265,6 +264,6 @@ def exceeded(cell: Cell, config: CellConfig, force: Array) -> list[str]:
     return found
 
 
-def rings(seed: int, count: int, cycles: int, library: Any) -> Iterator[Ring]:
+def rings(seed: int | list[int], count: int, cycles: int, library: Any) -> Iterator[Ring]:
     for stream in np.random.SeedSequence(seed).spawn(count):
         yield Ring(np.random.default_rng(stream), cycles, library)

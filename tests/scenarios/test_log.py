@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from plant.interface import JointSpace, Measurement, Truth
+from plant.interface import Cause, JointSpace, Measurement, Trip, Truth
 from qpmpc.config import BoundsConfig, ControllerConfig, JointsConfig, TangentialConfig
 from qpmpc.fallback import Source
 from qpmpc.force_control import ForceController
@@ -106,7 +106,7 @@ UNITS = {
     "tool_velocity_x": "m/s", "command_z": "m/s^2", "torque_1": "N m", "torque_saturated": "1",
     "slack_command": "m/s^2", "slack_rate": "m/s^2", "slack_velocity": "m/s", "status": "1",
     "solve_time": "s", "cycle_time": "s", "build_time": "s", "source": "1", "touching": "1",
-    "joint_velocity_1": "rad/s", "joint_velocity_6": "rad/s",
+    "joint_velocity_1": "rad/s", "joint_velocity_6": "rad/s", "force_peak": "N", "trip": "1",
 }  # fmt: skip
 
 
@@ -187,3 +187,27 @@ def test_a_full_log_takes_no_further_row():
             cycle_time=0.0,
         )
     assert log.cycles == 2
+
+
+def test_a_trip_has_its_cause_in_every_row_from_its_cycle_on_and_its_time():
+    log = filled(6, 2)
+    trip = Trip(Cause.TIP_SPEED, 0.002125, 0.51, 0.5)
+    step = ForceController(BOUNDED, ("x", "z"), 1e-3).step(
+        np.zeros(2), np.zeros(2), np.zeros((9, 2))
+    )
+    for k in range(2, 5):
+        log.record(
+            Measurement(k * 1e-3, *np.zeros((3, 3))),
+            Truth(np.zeros(3), np.zeros(3), np.zeros(6), False, force_peak=float(k), trip=trip),
+            step,
+            setpoint=np.zeros(2),
+            saturated=False,
+            cycle_time=0.0,
+        )
+    table = log.table()
+    assert table["trip"].to_pylist() == ["none", "none", *["tip_speed"] * 3]
+    assert float(table.schema.field("trip").metadata[b"time"]) == 0.002125
+    assert table["force_peak"].to_pylist()[2:] == [2.0, 3.0, 4.0]
+    assert log.counted == 3  # the cycle in which it tripped began under control
+    assert filled(4, 3).counted == 3
+    assert b"time" not in filled(4, 3).table().schema.field("trip").metadata
