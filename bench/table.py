@@ -43,7 +43,11 @@ def timing_lines(summary: Summary) -> list[str]:
     """What the run cost and how it went, in a few lines."""
     timing, saturation = summary["timing"], summary["saturation"]
     lines = []
-    for name, what in (("solve_us", "solve"), ("cycle_us", "control cycle")):
+    for name, what in (
+        ("solve_us", "solve"),
+        ("cycle_us", "control cycle"),
+        ("plant_us", "simulated cell"),
+    ):
         p = timing[name]
         lines.append(
             f"{what}: median {_number(p['p50'], '.0f')} us, p99 {_number(p['p99'], '.0f')} us, "

@@ -105,7 +105,7 @@ class Cell:
         block["substeps"] = config.substeps
         self._peak = block["peak"]
         self._contact = Contact(block, self.model, data, config.contact)
-        self._guard = Guard(config, block, self.model, data, self._contact)
+        self._guard = Guard(config, block, (self.model, data), self._contact, self._heart)
         self._stepper: Stepper = (
             CompiledStepper(library, block, self.model, data)
             if library
@@ -190,7 +190,7 @@ class Cell:
             self._torque = torque
             self._line.append((torque, self._command * self._follows))
             self._tool_ctrl[:], self._asked = self._line.popleft()
-        guard.expect(self._cycle, self._asked, self._heart)
+        guard.expect(self._cycle, self._asked)
         np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
         self._peak[()] = 0.0
         self._stepper.advance()
@@ -205,10 +205,11 @@ class Cell:
         """
         if command is None:
             return False
-        largest = max(map(abs, command.tolist()))
-        if self._protection.enabled:
-            return largest <= self._protection.command and not math.isnan(sum(command.tolist()))
-        if not math.isfinite(sum(command.tolist())):
+        x, y, z = command.tolist()
+        most = self._protection.command
+        if self._protection.enabled:  # NaN is in no interval
+            return bool(-most <= x <= most and -most <= y <= most and -most <= z <= most)
+        if not math.isfinite(x + y + z):
             raise PlantError(f"command {command} at t = {self._cycle * self.period:.3f} s")
         return True
 

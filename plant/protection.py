@@ -58,19 +58,26 @@ class Guard:
     """Protection of one cell, from `begin` on."""
 
     def __init__(
-        self, config: CellConfig, block: Memory, model: Any, data: Any, contact: Contact
+        self,
+        config: CellConfig,
+        block: Memory,
+        engine: tuple[Any, Any],
+        contact: Contact,
+        heart: Programme,
     ) -> None:
         """Derive limits and gains.
 
         Args:
             config: of the whole cell.
             block: what it shares with the physics loop.
-            model, data: of MuJoCo.
+            engine: model and data of MuJoCo.
             contact: released at a trip.
+            heart: Robot_Heart's programme.
         """
         own, lag = config.protection, config.imperfections.torque_lag
         self._config, self._block = own, block
-        self._model, self._data, self._contact = model, data, contact
+        model, data = self._model, self._data = engine
+        self._contact = contact
         self._period, self._substeps = config.period, config.substeps
         step = config.period / config.substeps
         block["lower"] = VIPER_S650.lower + own.joint_margin
@@ -93,6 +100,8 @@ class Guard:
         block["torque_limit"], block["leash"] = VIPER_S650.torque_limit.si, _LEASH
         # Views: looking them up costs as much as a small matrix product.
         self._mode, self._asked = block["mode"], block["asked"]
+        self._angles = heart.angles
+        self._turns = np.diff(heart.angles, axis=0, append=heart.angles[-1:]) / config.substeps
         self._heart, self._heart_step = block["heart"], block["heart_step"]
         self._q, self._speeds = data.qpos[6:12], data.qvel[6:12]
         self._tip, self._frame = data.site("tool_tip").xpos, data.site("tool_tip").xmat
@@ -132,22 +141,17 @@ class Guard:
             self._contact.follow()
             self.retract()
 
-    def expect(self, cycle: int, asked: FloatArray, heart: Programme) -> None:
+    def expect(self, cycle: int, asked: FloatArray) -> None:
         """Take in what the coming period is for, or go on with the way back.
 
         Args:
             cycle: number of the period.
             asked: command that acts now, 0 on axes that hold their position, ``(3,)`` [m/s^2].
-            heart: Robot_Heart's programme.
         """
         self._cycle = cycle
         if self._mode == WATCHING:
             self._asked[:] = asked
-            now = heart.angles[cycle]
-            self._heart[:] = now
-            after = heart.angles[cycle + 1] if cycle + 1 < len(heart.angles) else now
-            np.subtract(after, now, out=self._heart_step)
-            self._heart_step /= self._substeps
+            self._heart[:], self._heart_step[:] = self._angles[cycle], self._turns[cycle]
         elif self._mode == RETRACTING:
             self._aim()
 

@@ -1,5 +1,6 @@
 """What types and ranges cannot say about a scenario: whether its values fit one another."""
 
+import math
 from dataclasses import is_dataclass
 from typing import get_args
 
@@ -45,6 +46,7 @@ def check_consistent(scenario: Scenario, source: str) -> None:
         times = [step.time for step in timed]
         if times != sorted(times):
             raise ScenarioKeyError(source, place, "must be in the order of their times")
+    _check_protection(scenario, source)
     contact = scenario.cell.contact
     if contact.gap > 0 and not contact.unilateral:
         raise ScenarioKeyError(source, "cell.contact.gap", "needs cell.contact.unilateral = true")
@@ -54,6 +56,25 @@ def band(value: Band | AxesChange, axis: str) -> Interval:
     """Return the interval of one axis."""
     found: Interval = getattr(value, axis) if is_dataclass(value) else value
     return found
+
+
+def _check_protection(scenario: Scenario, source: str) -> None:
+    """Check that what is wished for does not trip the protection."""
+    limit = scenario.cell.protection.force
+    if not scenario.cell.protection.enabled:
+        return
+    wished = {axis: float(getattr(scenario.setpoint, axis)) for axis in _AXES}
+    for place, step in [
+        ("setpoint", scenario.setpoint),
+        *((f"setpoint.steps.{i}", step) for i, step in enumerate(scenario.setpoint.steps)),
+    ]:
+        changed = {axis: getattr(step, axis) for axis in _AXES}
+        wished |= {axis: float(value) for axis, value in changed.items() if value is not None}
+        size = math.hypot(*wished.values())
+        if size >= limit:
+            raise ScenarioKeyError(
+                source, place, f"{size:g} N in all reach cell.protection.force = {limit:g} N"
+            )
 
 
 def _check_bounds(scenario: Scenario, source: str) -> None:

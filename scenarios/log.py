@@ -65,6 +65,7 @@ class Log:
         self.build_time = np.zeros(cycles)
         self.solve_time = np.zeros(cycles)
         self.cycle_time = np.zeros(cycles)
+        self.plant_time = np.zeros(cycles)
 
     def record(
         self,
@@ -75,8 +76,12 @@ class Log:
         setpoint: Array,
         saturated: bool,
         cycle_time: float,
+        plant_time: float = 0.0,
     ) -> None:
-        """Write the next row: the instant of ``measurement``, what was decided, what it took."""
+        """Write the next row: the instant of ``measurement``, what was decided, what it took.
+
+        ``cycle_time`` is the controller's share [s], ``plant_time`` that of the plant [s].
+        """
         k = self.cycles
         self.time[k] = measurement.time
         self.setpoint[k] = setpoint
@@ -106,6 +111,7 @@ class Log:
         self.build_time[k] = step.times.build
         self.solve_time[k] = step.times.solve
         self.cycle_time[k] = cycle_time
+        self.plant_time[k] = plant_time
         self.cycles = k + 1
 
     @property
@@ -174,6 +180,7 @@ class Log:
         add("build_time", "s", self.build_time)
         add("solve_time", "s", self.solve_time)
         add("cycle_time", "s", self.cycle_time)
+        add("plant_time", "s", self.plant_time)
         more = {"trip": {"time": f"{self.trip.time:.9g}"}} if self.trip else {}
         schema = pa.schema(
             [

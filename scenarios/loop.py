@@ -63,6 +63,7 @@ def control_loop(
         for k in range(cycles):
             if stop():
                 return False
+            woken = perf_counter()
             measurement = plant.measure()
             begin = perf_counter()
             if schedule.due[k]:
@@ -91,6 +92,7 @@ def control_loop(
                 setpoint=setpoint.force[k],
                 saturated=saturated,
                 cycle_time=cycle_time,
+                plant_time=begin - woken + applied - decided,
             )
             if watch is not None:
                 watch(step)

@@ -77,6 +77,7 @@ def summarise(experiment: Experiment) -> Summary:
             "build_us": _percentiles(log.build_time[:end]),
             "solve_us": _percentiles(log.solve_time[:end]),
             "cycle_us": _percentiles(log.cycle_time[:end]),
+            "plant_us": _percentiles(log.plant_time[:end]),
             "misses": int((log.cycle_time[:end] > period).sum()),
             "wall_s": wall,
             "real_time_factor": {

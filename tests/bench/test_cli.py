@@ -54,6 +54,27 @@ def test_the_files_hold_what_they_should(table_run):
     assert (results / "forces.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_trip_is_told_in_one_line_and_by_the_exit_code(leave, said_once, tmp_path):
+    code, out, err = leave(
+        "run", "paper", "--duration", "0.3", "--set", "cell.protection.tip_speed=0.02",
+        "--set", "setpoint.steps=[{time=0.1, z=-13.0}]",
+        "--out", "tripped", "--json",
+    )  # fmt: skip
+    assert code == 1
+    assert "cell.protection.tip_speed" in said_once(err)
+    summary = json.loads(out)
+    assert summary["complete"] is True
+    assert summary["trip"]["cause"] == "tip_speed"
+    assert 0.0 < summary["trip"]["time"] < 0.28
+    table = pq.read_table(tmp_path / "tripped" / "log.parquet")
+    assert table.num_rows == 300  # it goes on: the log shows the way back
+    first = table["trip"].to_pylist().index("tip_speed")
+    assert summary["counted"] == first + 1
+    assert table["time"][first].as_py() < summary["trip"]["time"]
+    assert summary["trip"]["time"] <= table["time"][first + 1].as_py() + 1e-12
+    assert f"at t = {summary['trip']['time']:.6g} s" in err
+
+
 def test_json_is_all_there_is_on_standard_output(leave, tmp_path):
     arguments = ("--backend", "osqp", "--set", "cell.sensor.model=mini45", "--out", "here")
     code, out, err = leave("run", "paper", *SHORT, *arguments, "--json")

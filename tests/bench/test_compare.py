@@ -14,7 +14,7 @@ import pytest
 from qpmpc.backends import available
 
 PERCENTILES = {"p50", "p99", "p999", "max"}
-TIMES = ("build_time", "solve_time", "cycle_time")
+TIMES = ("build_time", "solve_time", "cycle_time", "plant_time")
 RUN = ["config.toml", "log.parquet", "summary.json"]
 MAIN = [
     name for name in ("analytic", "daqp", "osqp", "clarabel", "piqp", "casadi")

@@ -7,7 +7,8 @@ import io
 import pytest
 from rich.console import Console
 
-from bench.table import comparison_lines, comparison_tables, timing_lines
+from bench.table import comparison_lines, comparison_tables, timing_lines, trip_line
+from plant import Cause, Trip
 
 TIMES = {"p50": 1234.4, "p99": 12345.0, "p999": 123456.0, "max": 1234567.0}
 BEYOND = {
@@ -36,6 +37,7 @@ def row(backend="daqp", **changes):
         "status": {"solved": 1000},
         "source": SOLVED,
         "without_reference": 0,
+        "trip": None,
     } | changes
 
 
@@ -113,11 +115,29 @@ def test_lines_say_how_the_solves_ended_and_what_stood_in():
     ]
 
 
+def test_a_trip_is_told_with_cause_key_time_and_figures():
+    assert trip_line(Trip(Cause.FORCE, 0.032375, 30.0134, 30.0)) == (
+        "the protection tripped at t = 0.032375 s on cell.protection.force (30.01, limit 30 N); "
+        "the tool was retracted"
+    )
+    told = trip_line(Trip(Cause.JOINT_RANGE, 1.5, 1.8, 1.7, joint=5))
+    assert "cell.protection.joint_margin of joint 5 (1.8, limit 1.7 rad)" in told
+    (line,) = comparison_lines([row(trip={"cause": "tip_speed", "time": 0.25})])
+    assert line == "daqp: solved 1000; tripped at 0.25 s on tip_speed"
+
+
+@pytest.mark.parametrize("cause", list(Cause))
+def test_every_cause_has_its_unit(cause):
+    told = trip_line(Trip(cause, 0.1, 2.0, 1.0))
+    assert told.split("limit 1 ")[1].split(")")[0] in {"cycles", "rad", "rad/s", "m/s", "N"}
+
+
 def summary(**changes):
     return {
         "timing": {
             "solve_us": TIMES,
             "cycle_us": TIMES,
+            "plant_us": TIMES,
             "misses": 2,
             "real_time_factor": {"compensated": 2.5, "uncompensated": None},
         },

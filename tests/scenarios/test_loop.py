@@ -185,6 +185,7 @@ def test_rows_of_the_log_belong_together():
     assert log.status_counts() == {"solved": 50}
     assert (log.solve_time > 0).all()
     assert (log.cycle_time >= log.solve_time).all()
+    assert (log.plant_time > 0).all()
 
 
 def test_a_command_on_its_bound_counts_as_saturated():

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from plant import Cause, Trip
 from qpmpc.fallback import Source
 from qpmpc.status import Status
 from scenarios import Experiment, Log, Schedule, load_scenario, summarise
@@ -39,6 +40,7 @@ def experiment(rows=CYCLES, *, held=True, stopped=None, axes=("x", "y", "z")) ->
     log.solve_time[:] = rng.gamma(3.0, 5e-6, CYCLES)
     log.cycle_time[:] = log.solve_time + 1e-4
     log.cycle_time[5:8] = 2e-3
+    log.plant_time[:] = 3.0 * log.solve_time
     log.cycles = rows
     wall = {"setup": 1.0, "compensated": 0.25, "uncompensated": 0.125}
     scenario = load_scenario("paper", settings=[f"axes={list(axes)}", "duration=1.0"])
@@ -58,14 +60,15 @@ def summary(complete):
 def test_every_stable_key_is_there(summary):
     assert {
         "scenario", "backend", "seed", "cycles", "axes", "paper", "timing", "saturation", "status",
-        "source", "violations", "increment_rms", "complete", "stopped", "versions",
+        "source", "violations", "increment_rms", "complete", "stopped", "versions", "trip",
+        "counted", "force_peak", "physics",
     } <= set(summary)  # fmt: skip
     assert set(summary["axes"]) == {"x", "y", "z"}
     for figures in summary["axes"].values():
         assert set(figures) == {"uncompensated", "compensated", "reduction"}
         assert set(figures["uncompensated"]) == set(figures["compensated"]) == KEYS
         assert set(figures["reduction"]) == {"rms", "max"}
-    times = ("build_us", "solve_us", "cycle_us")
+    times = ("build_us", "solve_us", "cycle_us", "plant_us")
     assert {*times, "misses"} <= set(summary["timing"])
     assert all(set(summary["timing"][name]) == PERCENTILES for name in times)
     assert set(summary["source"]) == {"solution", "plan", "analytic", "hold"}
@@ -112,6 +115,7 @@ def test_times_and_shares_are_those_of_numpy(complete, summary):
     log, timing = complete.log, summary["timing"]
     for name, times in (
         ("build_us", log.build_time), ("solve_us", log.solve_time), ("cycle_us", log.cycle_time),
+        ("plant_us", log.plant_time),
     ):  # fmt: skip
         expected = np.percentile(1e6 * times, [50, 99, 99.9, 100])
         assert list(timing[name].values()) == pytest.approx(expected)
@@ -170,3 +174,26 @@ def test_no_number_anywhere_in_an_error_makes_none():
 def test_nan_never_becomes_json():
     with pytest.raises(ValueError, match="JSON"):
         to_json({"rms": float("nan")})
+
+
+def test_after_a_trip_no_cycle_counts(complete):
+    tripped = experiment()
+    log, k = tripped.log, 300
+    log.trip = Trip(Cause.FORCE, (k + 0.5) * 1e-3, 31.0, 30.0)
+    log.tripped[k:] = True
+    log.force[k + 1 :] = 1e3
+    log.command[k + 1 :] = 1e3
+    log.torque_saturated[k + 1 :] = True
+    log.force_peak[:] = 12.0
+    log.force_peak[k + 2] = 34.0
+    summary = summarise(tripped)
+    assert summary["trip"] == {"cause": "force", "time": 0.3005}
+    assert (summary["cycles"], summary["counted"]) == (CYCLES, k + 1)
+    assert summary["force_peak"] == 34.0
+    whole = complete.log.force[: k + 1, 0] - 1.0
+    assert summary["axes"]["x"]["compensated"]["max"] == pytest.approx(np.abs(whole).max())
+    assert max(v for v in summary["increment_rms"].values()) < 20.0
+    assert summary["saturation"]["torque"] == pytest.approx(0.1, abs=0.01)
+    assert summary["violations"]["command"]["worst"] < 100.0
+    assert summarise(complete)["trip"] is None
+    assert summarise(complete)["counted"] == CYCLES

@@ -13,7 +13,7 @@ import pytest
 from scenarios import ScenarioError, load_scenario, run_experiment, summarise
 from scenarios.results import result_folder, to_json, write_run
 
-TIMES = ("build_time", "solve_time", "cycle_time")
+TIMES = ("build_time", "solve_time", "cycle_time", "plant_time")
 DURATION = 0.15
 
 
