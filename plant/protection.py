@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cache
+from itertools import product
 from typing import Any
 
 import mujoco
@@ -39,6 +40,8 @@ _LAG_SHARE = 0.2
 _LEASH = 0.002
 """How far the goal may be ahead of its joint [rad]: what is caught up after an impact then adds
 little to the speed of the way back."""
+_STUCK = 0.05
+"""Share of the speed of the way back below which there is no way further [-]."""
 _REST = 0.02
 """Joint speed at which the brakes can close [rad/s]."""
 _SAFETY = 0.5
@@ -120,7 +123,7 @@ class Guard:
         block["cause"] = 0
         self._mode[()] = WATCHING if self._config.enabled else OFF
         self._cycle = self._missed = 0
-        self._travel, self._arrived = 0.0, False
+        self._arrived = False
         self.trip = None
 
     def stand_down(self) -> None:
@@ -267,29 +270,41 @@ class Guard:
     def _aim(self) -> None:
         """Once a period: how fast each joint's goal moves, and whether the brakes can close."""
         m = self._block
-        pace = m["goal_speed"]
-        travel = max(0.0, self._config.retraction + float(m["depth"]))
-        normal, way = m["normal"], self._tip - m["tip_tripped"]
+        pace, normal, way = m["goal_speed"], m["normal"], self._tip - m["tip_tripped"]
         done = float(normal @ way)
         if not self._arrived:
-            at_end = (m["goal"] <= m["goal_lower"]) | (m["goal"] >= m["goal_upper"])
-            self._arrived = done >= travel or bool((at_end & (pace != 0.0)).any())
-        pace[:] = 0.0
-        if not self._arrived:
-            # Damped least squares: where the arm is stretched it goes another way round, turns the
-            # instrument or is slow, but its tip is never led back into the tissue.
-            J = self._jacobian
-            mujoco.mj_jacSite(self._model, self._data, J[:3], J[3:], self._site)
-            A = J[:, 6:12] * _WEIGHTS
             speed = self._config.retraction_speed
             aside = _STRAIGHTENING * (way - done * normal)
             aside *= speed / max(speed, float(np.linalg.norm(aside)))
-            wanted = np.concatenate([speed * normal - aside, np.zeros(3)])
-            speeds = A.T @ np.linalg.solve(A @ A.T + _DAMPING, wanted)
-            pace[:] = speeds / max(1.0, float(np.max(np.abs(speeds) / m["joint_speed"])))
-        elif np.abs(self._speeds).max() < _REST:
-            self._mode[()] = BRAKED
-            close_brakes(self._model, self._data)
+            pace[:] = self._lead(np.concatenate([speed * normal - aside, np.zeros(3)]))
+            rises = float(normal @ (self._jacobian[:3, 6:12] @ pace))
+            travel = max(0.0, self._config.retraction + float(m["depth"]))
+            self._arrived = done >= travel or rises < _STUCK * speed
+        if self._arrived:
+            pace[:] = 0.0
+            if np.abs(self._speeds).max() < _REST:
+                self._mode[()] = BRAKED
+                close_brakes(self._model, self._data)
+
+    def _lead(self, twist: FloatArray) -> FloatArray:
+        """Joint speeds ``(6,)`` [rad/s] that lead the tip by ``twist (6,)`` [m/s, rad/s].
+
+        By damped least squares: where the arm is stretched it goes another way round, turns the
+        instrument or is slow, but its tip is never led back into the tissue. A joint at the end of
+        its range stays where it is.
+        """
+        m, J = self._block, self._jacobian
+        mujoco.mj_jacSite(self._model, self._data, J[:3], J[3:], self._site)
+        high, low = m["goal"] >= m["goal_upper"], m["goal"] <= m["goal_lower"]
+        A = J[:, 6:12] * _WEIGHTS
+        while True:
+            speeds = A.T @ np.linalg.solve(A @ A.T + _DAMPING, twist)
+            blocked = (high & (speeds > 0.0)) | (low & (speeds < 0.0))
+            if not blocked.any():
+                return np.asarray(
+                    speeds / max(1.0, float((np.abs(speeds) / m["joint_speed"]).max()))
+                )
+            A[:, blocked] = 0.0
 
 
 def close_brakes(model: Any, data: Any) -> None:
@@ -299,33 +314,30 @@ def close_brakes(model: Any, data: Any) -> None:
 
 
 def force_cap(config: CellConfig, tissue_speed: float) -> float:
-    """Largest contact force that can occur whatever is commanded [N].
+    """Largest contact force that can occur whatever is commanded, where the arm stands at home [N].
 
-    From the trip at the latest at ``protection.force``, the tip goes on at no more than its speed
-    limit and what the motors add until they have turned round, then slows down by no less than they
-    can at home; meanwhile the tissue comes towards it:
+    The guard trips at the latest at ``protection.force``, with the tip no faster than its limit and
+    whatever the motors added in the physics step before. Their torque turns round with its lag, the
+    tip stops, and meanwhile the tissue comes towards it:
 
-        v = v_limit + a (h + 2 lag)       t = h + 2 lag + (v + v_tissue) / b
-        cap = F_limit + K (v (h + 2 lag) + v^2 / (2 b) + v_tissue t) + D (v + v_tissue)
+        v = v_limit + a h + (a + b) lag       v' = -b + (a + b) exp(-t / lag), integrated
+        cap = F_limit + K (v h + v^2 / (2 b) + v_tissue v / b) + D (v + v_tissue)
 
-    a is the largest acceleration of the tip, b the smallest deceleration along any axis; infinite
-    without protection.
+    a is the largest acceleration of the tip, b its smallest deceleration, in any direction.
+    Infinite without protection.
 
     Args:
         config: of the cell.
         tissue_speed: largest speed of the tissue [m/s].
     """
-    own = config.protection
+    own, contact = config.protection, config.contact
     if not own.enabled:
         return math.inf
     _, _, hardest, braking = _strength()
-    react = config.period / config.substeps + 2.0 * config.imperfections.torque_lag
-    speed = own.tip_speed + hardest * react
-    time = react + (speed + tissue_speed) / braking
-    way = speed * react + speed**2 / (2.0 * braking) + tissue_speed * time
-    return (
-        own.force + config.contact.stiffness * way + config.contact.damping * (speed + tissue_speed)
-    )
+    step, lag = config.period / config.substeps, config.imperfections.torque_lag
+    speed = own.tip_speed + hardest * step + (hardest + braking) * lag
+    way = speed * step + speed**2 / (2.0 * braking) + tissue_speed * speed / braking
+    return own.force + contact.stiffness * way + contact.damping * (speed + tissue_speed)
 
 
 @cache
@@ -333,8 +345,8 @@ def _strength() -> tuple[FloatArray, FloatArray, float, float]:
     """What the tool's motors can do at home.
 
     Returns the joint-space inertia ``(6, 6)`` [kg m^2], the torque that gravity leaves to each
-    joint ``(6,)`` [N m], the largest acceleration of the tip along an axis and the smallest
-    deceleration of a tip that moves along one and is braked as `Guard.retract` brakes [m/s^2].
+    joint ``(6,)`` [N m], the largest acceleration of the tip, and the smallest deceleration of a
+    tip that moves without turning and is braked as `Guard.retract` brakes [m/s^2].
     """
     arm, q = build_arm_model(VIPER_S650, TOOL), home_configuration(VIPER_S650, TOOL)
     model, data = arm.model, arm.model.createData()
@@ -343,7 +355,8 @@ def _strength() -> tuple[FloatArray, FloatArray, float, float]:
     limit = VIPER_S650.torque_limit.si
     reserve = limit - np.abs(pin.computeGeneralizedGravity(model, data, q))
     J = pin.computeFrameJacobian(model, data, q, arm.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-    hardest = float((np.abs(J[:3] @ np.linalg.inv(inertia)) @ limit).max())
-    # Torques for 1 m/s^2 along each axis: the weakest motor says how much more there can be.
-    torques = np.abs(inertia @ np.linalg.solve(J, np.eye(6)[:, :3]))
-    return inertia, reserve, hardest, float((reserve / torques.max(axis=1)).min())
+    extremes = limit * np.array(list(product([-1.0, 1.0], repeat=6)))
+    hardest = np.linalg.norm(extremes @ np.linalg.inv(inertia) @ J[:3].T, axis=1).max()
+    # Torque that each motor needs for 1 m/s^2, in the direction that is the worst for it.
+    torques = np.linalg.norm(inertia @ np.linalg.solve(J, np.eye(6)[:, :3]), axis=1)
+    return inertia, reserve, float(hardest), float((reserve / torques).min())

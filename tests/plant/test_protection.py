@@ -256,6 +256,21 @@ def test_it_is_taken_away_along_the_normal_of_the_tissue(realistic, make_cell, s
     assert np.linalg.norm(way - (way @ tilted) * tilted) < 3e-3
 
 
+@pytest.mark.parametrize("joint", [1, 2, 4])
+def test_a_joint_at_its_end_does_not_keep_the_tool_on_the_tissue(
+    joint, realistic, make_cell, still, library
+):
+    cell = make_cell(realistic(), still(900), library=library)
+    until_trip(cell, 10.0 * DOWN)
+    block, start = cell._guard._block, cell.data.qpos[6:12].copy()
+    block["goal_upper"][joint] = block["goal_lower"][joint] = start[joint]
+    tip, _, force, joints = go_on(cell, None, 600)
+    assert tip[-1, 2] - tip[0, 2] > 0.03
+    assert not force[-1].any()
+    assert np.abs(joints[:, joint] - start[joint]).max() < 0.02
+    assert cell.data.eq_active[:6].all()
+
+
 def test_a_tool_in_the_air_is_only_stopped(realistic, make_cell, still, library):
     config = realistic(unilateral=True, gap=0.05, tip_speed=0.2)
     cell = make_cell(config, still(500), library=library)

@@ -48,6 +48,7 @@ def test_paper_does_so_without_saturation_and_with_every_qp_solved(paper):
     assert paper.summary["saturation"]["torque"] < 1e-3
     assert paper.summary["status"] == {"solved": 15000}
     assert paper.summary["complete"] is True
+    assert paper.summary["trip"] is None
     assert paper.summary["cycles"] == 15000
 
 
@@ -106,6 +107,7 @@ def test_every_shipped_scenario_runs(name, simulate):
     for values in figures.values():
         assert values["compensated"]["rms"] < 0.5 * values["uncompensated"]["rms"]
     assert run.summary["status"] == {"solved": 500}
+    assert run.summary["trip"] is None
 
 
 def test_a_simulation_that_fails_is_told_and_leaves_its_log(monkeypatch):
