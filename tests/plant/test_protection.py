@@ -332,7 +332,7 @@ def test_the_peak_of_the_force_is_that_of_all_physics_steps(
 # --- the loop in C -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_compiled_loop_is_the_loop_in_python_bit_for_bit(seed, library):
     """Under every controller, in cells of every kind, until long after a trip."""
     in_python, in_c = (next(hostile.rings(seed, 1, 150, which)) for which in (None, library))
@@ -396,7 +396,7 @@ def besiege(seed, count, sequences, cycles, library):
 
 @pytest.mark.parametrize("cycles", [350, 2500])
 def test_whatever_is_sent_joints_stay_in_range_and_force_below_its_cap(cycles, library):
-    worst = besiege(cycles, 6, 72 if cycles < 1000 else 24, cycles, library)
+    worst = besiege(cycles, 6, 60 if cycles < 1000 else 24, cycles, library)
     assert len(worst.tripped) >= 4
     assert worst.force > 30.0
 
