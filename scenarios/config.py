@@ -22,11 +22,13 @@ class SetpointStep:
     """New contact force on y [N]."""
     z: float | None = None
     """New contact force on z [N]; pressing down is negative."""
+    ramp: Annotated[float, Ge(0), Le(3600)] = 0.0
+    """Time over which it moves linearly to the new value [s]; 0: at once."""
 
 
 @dataclass(frozen=True)
 class SetpointConfig:
-    """The contact force that is wished for."""
+    """The contact force that is wished for: given here, or recorded in a file."""
 
     x: float = 1.0
     """Contact force on x at the start [N]."""
@@ -36,6 +38,12 @@ class SetpointConfig:
     """Contact force on z at the start [N]; pressing down is negative."""
     steps: tuple[SetpointStep, ...] = ()
     """Changes, in the order of their times."""
+    file: str | None = None
+    """CSV file of a recorded wish, columns t [s] and those of x, y, z [N] that are controlled; in
+    place of x, y, z and steps."""
+    preview: bool = True
+    """Whether the controller sees changes coming within its horizon; a surgeon's hand it does
+    not."""
 
 
 @dataclass(frozen=True)

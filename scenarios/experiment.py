@@ -12,6 +12,8 @@ from plant.errors import UnstableSimulationError
 from qpmpc.backends import backend_class
 from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
+from scenarios.consistency import band
+from scenarios.errors import ScenarioError
 from scenarios.log import Log
 from scenarios.loop import Stop, Watch, control_loop, watch_loop
 from scenarios.motion import load_motion
@@ -65,18 +67,23 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     period, cycles, horizon = scenario.cell.period, scenario.cycles, scenario.controller.horizon
     kind = backend_class(scenario.backend)  # one that is not there is told before anything is done
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
+    setpoint = Setpoint(scenario.setpoint, scenario.axes, cycles, horizon, period)
+    schedule = Schedule(scenario)
+    _check_recorded(scenario, setpoint)
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
-    wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
 
     def another_cell() -> Cell:
         return Cell(
-            scenario.cell, motion, force=wished, seed=scenario.seed, axes=scenario.axes, heart=heart
+            scenario.cell,
+            motion,
+            force=setpoint.start,
+            seed=scenario.seed,
+            axes=scenario.axes,
+            heart=heart,
         )
 
     cell = another_cell()
-    setpoint = Setpoint(scenario.setpoint, scenario.axes, cycles, horizon, period)
-    schedule = Schedule(scenario)
     controller = ForceController(
         scenario.controller,
         scenario.axes,
@@ -122,8 +129,7 @@ def run_experiment(
     watch = shadow(made.controller) if shadow else None
     if held is None:
         still = made.another_cell()
-        wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
-        still.move_tool(wished / scenario.cell.contact.stiffness)
+        still.move_tool(made.setpoint.start / scenario.cell.contact.stiffness)
         still.close_brakes()
     ready = perf_counter()
     controlled, stopped = None, None
@@ -167,3 +173,20 @@ def run_experiment(
             "uncompensated": ended - controlled if held is None else 0.0,
         },
     )
+
+
+def _check_recorded(scenario: Scenario, setpoint: Setpoint) -> None:
+    """Hold a recorded setpoint to the bounds on force, as one that is written out is held."""
+    if scenario.setpoint.file is None or scenario.bounds_steps:
+        return
+    for j, axis in enumerate(scenario.axes):
+        low, high = band(scenario.controller.bounds.force, axis)
+        wished = setpoint.force[: scenario.cycles, j]
+        beyond = np.flatnonzero((wished < low) | (wished > high))
+        if beyond.size:
+            k = int(beyond[0])
+            when = k * scenario.cell.period
+            raise ScenarioError(
+                f"{scenario.setpoint.file}: {axis} is {wished[k]:g} N at {when:g} s, outside "
+                f"controller.bounds.force.{axis} = [{low:g}, {high:g}] N"
+            )

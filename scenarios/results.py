@@ -53,7 +53,7 @@ def result_folder(folder: Path) -> Iterator[Path]:
 def write_run(experiment: Experiment, summary: Summary, folder: Path) -> None:
     """Write ``config.toml``, ``summary.json`` and ``log.parquet`` into ``folder``.
 
-    Files that the motion came from are copied, so that the folder alone repeats the run:
+    Files that motion and setpoint came from are copied, so that the folder alone repeats the run:
     ``pulsempc run FOLDER/config.toml``.
     """
     scenario = experiment.scenario
@@ -63,6 +63,9 @@ def write_run(experiment: Experiment, summary: Summary, folder: Path) -> None:
             shutil.copyfile(source, folder / f"{key}.csv")
             copied: dict[str, Any] = {key: f"{key}.csv"}
             scenario = replace(scenario, motion=replace(scenario.motion, **copied))
+    if scenario.setpoint.file is not None:
+        shutil.copyfile(scenario.setpoint.file, folder / "setpoint.csv")
+        scenario = replace(scenario, setpoint=replace(scenario.setpoint, file="setpoint.csv"))
     (folder / "config.toml").write_text(dump_scenario(scenario), encoding="utf-8")
     (folder / "summary.json").write_text(to_json(summary), encoding="utf-8")
     experiment.log.write(folder / "log.parquet")

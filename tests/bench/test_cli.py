@@ -77,7 +77,8 @@ def test_every_verb_has_help_with_an_example(verb, leave):
 def test_the_options_of_the_issue_are_in_the_help(leave):
     out = leave("run", "--help")[1]
     for option in (
-        "--backend", "--motion", "--beats", "--duration", "--seed", "--set", "--out", "--json",
+        "--backend", "--motion", "--beats", "--setpoint", "--duration", "--seed", "--set", "--out",
+        "--json",
     ):  # fmt: skip
         assert option in out
 
@@ -207,6 +208,14 @@ BAD = {
     "seed -1": (["--seed=-1"], ["seed"]),
     "no motion": (["--motion", "none.csv"], ["none.csv", "no such file"]),
     "no beats": (["--beats", "none.csv"], ["none.csv", "no such file"]),
+    "no setpoint": (["--setpoint", "none.csv"], ["none.csv", "no such file"]),
+    "setpoint out of bounds": (
+        ["--setpoint", "far.csv", "--duration", "0.9"], ["far.csv", "controller.bounds.force.z"],
+    ),
+    "short setpoint": (["--setpoint", "beats.csv"], ["beats.csv", "no column 'x'"]),
+    "setpoint twice": (
+        ["--set", "setpoint.file=far.csv", "setpoint.z=-9.0"], ["setpoint.z", "no effect"],
+    ),
     "motion and beats": (["--motion", "far.csv", "--beats", "far.csv"], ["exclude"]),
     "nan in motion": (["--motion", "nan.csv"], ["nan.csv: line 7", "'x'"]),
     "word in motion": (["--motion", "word.csv"], ["word.csv: line 7"]),
