@@ -1,6 +1,5 @@
 """Recorded motion from CSV: what is read, how it is resampled, and every file that is refused."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -212,12 +211,12 @@ def test_slow_recordings_have_no_gaps(tmp_path: Path) -> None:
     assert play(write(tmp_path / "m.csv", t, 1e-3 * wave(t)), 19.0).time.size == 19000
 
 
-def test_reading_100_000_rows_is_quick(tmp_path: Path) -> None:
+def test_100_000_rows_are_read(tmp_path: Path) -> None:
     t = np.arange(100_000) * 1e-3
-    path = write(tmp_path / "m.csv", t, wave(t))
-    start = time.perf_counter()
-    play(path, 99.0)
-    assert time.perf_counter() - start < 3.0  # about half a second; room for a busy machine
+    position = wave(t)
+    motion = play(write(tmp_path / "m.csv", t, position), 99.0)
+    expected = position[:99_000] - position.mean(axis=0)
+    np.testing.assert_allclose(motion.position, expected, atol=1e-6)
 
 
 metres = st.floats(-0.09, 0.09)
