@@ -48,15 +48,19 @@ def check_consistent(scenario: Scenario, source: str) -> None:
         times = [step.time for step in timed]
         if times != sorted(times):
             raise ScenarioKeyError(source, place, "must be in the order of their times")
-    _check_recorded_alone(scenario, source)
+    _check_one_setpoint(scenario, source)
     contact = scenario.cell.contact
     if contact.gap > 0 and not contact.unilateral:
         raise ScenarioKeyError(source, "cell.contact.gap", "needs cell.contact.unilateral = true")
 
 
-def _check_recorded_alone(scenario: Scenario, source: str) -> None:
-    """Refuse keys that a recorded setpoint leaves without effect."""
+def _check_one_setpoint(scenario: Scenario, source: str) -> None:
+    """Refuse keys that a recorded or a live setpoint leaves without effect."""
     setpoint = scenario.setpoint
+    if setpoint.live is not None:
+        for key, given in (("steps", setpoint.steps), ("file", setpoint.file)):
+            if given:
+                raise ScenarioKeyError(source, f"setpoint.{key}", "no effect beside setpoint.live")
     if setpoint.file is None:
         return
     default = SetpointConfig()

@@ -14,9 +14,11 @@ from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
 from scenarios.consistency import band
 from scenarios.errors import ScenarioError
+from scenarios.live import LiveSetpoint
 from scenarios.log import Log
-from scenarios.loop import Stop, Watch, control_loop, watch_loop
+from scenarios.loop import Pace, Stop, Watch, control_loop, watch_loop
 from scenarios.motion import load_motion
+from scenarios.motion.config import AXES
 from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
 
@@ -32,7 +34,7 @@ class Assembly:
     """What a controlled run is made of, at its start."""
 
     cell: Cell
-    setpoint: Setpoint
+    setpoint: Setpoint | LiveSetpoint
     schedule: Schedule
     controller: ForceController
     log: Log
@@ -52,6 +54,8 @@ class Experiment:
     not."""
     wall_time: dict[str, float]
     """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``; 0 if not run."""
+    live: dict[str, int] | None = None
+    """What came of a setpoint that was sent, see `scenarios.live.Counts`; None without one."""
 
 
 def assemble(scenario: Scenario, report: Report) -> Assembly:
@@ -64,12 +68,11 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     Raises:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had.
     """
-    period, cycles, horizon = scenario.cell.period, scenario.cycles, scenario.controller.horizon
+    period, cycles = scenario.cell.period, scenario.cycles
     kind = backend_class(scenario.backend)  # one that is not there is told before anything is done
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
-    setpoint = Setpoint(scenario.setpoint, scenario.axes, cycles, horizon, period)
+    setpoint = _setpoint(scenario)
     schedule = Schedule(scenario)
-    _check_recorded(scenario, setpoint)
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
 
@@ -93,7 +96,8 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
         moving=schedule.moving,
     )
     touching = scenario.cell.contact.gap == 0
-    controller.reset(setpoint.force[0] * touching)
+    start = [setpoint.start[AXES.index(axis)] for axis in scenario.axes]
+    controller.reset(np.array(start) * touching)
     log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
     return Assembly(cell, setpoint, schedule, controller, log, another_cell)
 
@@ -105,6 +109,7 @@ def run_experiment(
     stop: Stop,
     held: Array | None = None,
     shadow: Shadow | None = None,
+    pace: Pace | None = None,
 ) -> Experiment:
     """Run a scenario: controlled first, then with the brakes closed.
 
@@ -117,6 +122,7 @@ def run_experiment(
         held: force of the run with the brakes closed, ``(cycles, 3)`` [N], where an experiment of
             the same motion has it already.
         shadow: makes what is shown every step of the controller.
+        pace: of the controlled run, see `Pace`; a setpoint that is sent live wants the clock's.
 
     Raises:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had; nothing
@@ -142,6 +148,7 @@ def run_experiment(
             cycles,
             schedule=made.schedule,
             watch=watch,
+            pace=pace,
             progress=lambda done, total: report("compensated", done, total),
             stop=stop,
         )
@@ -159,6 +166,10 @@ def run_experiment(
         stopped = None if complete else "interrupted"
     except UnstableSimulationError as error:
         stopped = str(error)
+    finally:
+        if isinstance(made.setpoint, LiveSetpoint):
+            made.setpoint.close()
+            log.setpoint_source[:] = made.setpoint.source
     ended = perf_counter()
     if controlled is None:
         controlled = ended
@@ -172,21 +183,32 @@ def run_experiment(
             "compensated": controlled - ready,
             "uncompensated": ended - controlled if held is None else 0.0,
         },
+        made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
     )
 
 
-def _check_recorded(scenario: Scenario, setpoint: Setpoint) -> None:
+def _setpoint(scenario: Scenario) -> Setpoint | LiveSetpoint:
+    config, axes, period = scenario.setpoint, scenario.axes, scenario.cell.period
+    cycles, horizon = scenario.cycles, scenario.controller.horizon
+    bounds = np.array([band(scenario.controller.bounds.force, axis) for axis in axes]).T
+    if config.live is not None:
+        return LiveSetpoint(
+            config.live, np.array([config.x, config.y, config.z]), (bounds[0], bounds[1]), axes,
+            cycles=cycles, horizon=horizon, period=period,
+        )  # fmt: skip
+    setpoint = Setpoint(config, axes, cycles, horizon, period)
+    if config.file is not None and not scenario.bounds_steps:
+        _check_recorded(config.file, setpoint.force[:cycles], bounds, scenario)
+    return setpoint
+
+
+def _check_recorded(file: str, wished: Array, bounds: Array, scenario: Scenario) -> None:
     """Hold a recorded setpoint to the bounds on force, as one that is written out is held."""
-    if scenario.setpoint.file is None or scenario.bounds_steps:
-        return
-    for j, axis in enumerate(scenario.axes):
-        low, high = band(scenario.controller.bounds.force, axis)
-        wished = setpoint.force[: scenario.cycles, j]
-        beyond = np.flatnonzero((wished < low) | (wished > high))
-        if beyond.size:
-            k = int(beyond[0])
-            when = k * scenario.cell.period
-            raise ScenarioError(
-                f"{scenario.setpoint.file}: {axis} is {wished[k]:g} N at {when:g} s, outside "
-                f"controller.bounds.force.{axis} = [{low:g}, {high:g}] N"
-            )
+    beyond = np.argwhere((wished < bounds[0]) | (wished > bounds[1]))
+    if beyond.size:
+        k, j = beyond[0]
+        axis, when = scenario.axes[j], k * scenario.cell.period
+        raise ScenarioError(
+            f"{file}: {axis} is {wished[k, j]:g} N at {when:g} s, outside "
+            f"controller.bounds.force.{axis} = [{bounds[0, j]:g}, {bounds[1, j]:g}] N"
+        )

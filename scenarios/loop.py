@@ -12,6 +12,7 @@ from plant.interface import JointPlant, Plant
 from qpmpc.controller import Step
 from qpmpc.force_control import ForceController
 from scenarios.errors import ScenarioError
+from scenarios.live import LiveSetpoint
 from scenarios.log import Log
 from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
@@ -23,6 +24,8 @@ Watch = Callable[[Step], None]
 """Shown the step of every cycle, while the controller's problem still holds its vectors."""
 Stop = Callable[[], bool]
 """Asked once per cycle whether to stop before the end."""
+Pace = Callable[[], object]
+"""Called at the start of each cycle: returns when its time has come."""
 
 _EVERY = 250
 """Cycles between reports of progress."""
@@ -32,12 +35,13 @@ _AXIS = {"x": 0, "y": 1, "z": 2}
 def control_loop(
     plant: Plant | JointPlant,
     controller: ForceController,
-    setpoint: Setpoint,
+    setpoint: Setpoint | LiveSetpoint,
     log: Log,
     cycles: int,
     *,
     schedule: Schedule,
     watch: Watch | None = None,
+    pace: Pace | None = None,
     progress: Progress,
     stop: Stop,
 ) -> bool:
@@ -50,6 +54,7 @@ def control_loop(
         cycles: how many at most.
         schedule: of the bounds; a command on its bound counts as saturated.
         watch: shown every step, outside the clock.
+        pace: see `Pace`; as fast as it goes if not given.
         progress, stop: see `Progress`, `Stop`.
     """
     every = controller.axes == tuple(_AXIS)
@@ -63,6 +68,8 @@ def control_loop(
         for k in range(cycles):
             if stop():
                 return False
+            if pace is not None:
+                pace()
             measurement = plant.measure()
             begin = perf_counter()
             if schedule.due[k]:

@@ -95,6 +95,7 @@ def summarise(experiment: Experiment) -> Summary:
         "violations": violations(log, experiment.schedule, period),
         "status": log.status_counts(),
         "source": log.source_counts(),
+        "live_setpoint": experiment.live,
         "versions": versions(),
     }
 

@@ -61,6 +61,8 @@ class Compare:
         for name in names:
             backend_class(name)  # an unknown one is told before anything is done
         scenario = load(self)
+        if scenario.setpoint.live is not None:
+            raise ScenarioError("setpoint.live: is another one in every run, nothing to compare by")
         folder = self.out or Path("runs") / f"compare-{scenario.name}-{now()}"
         with (
             result_folder(folder) as partial,

@@ -228,6 +228,12 @@ WRONG = [
     ("setpoint.steps = [{time = 1.0, x = 1.0, ramp = -1.0}]", "setpoint.steps.0.ramp"),
     ('setpoint = {file = "a.csv", steps = [{time = 1.0, x = 1.0}]}', "setpoint.steps"),
     ('setpoint = {file = "a.csv", z = -9.0}', "setpoint.z"),
+    ("setpoint.live = {port = 80}", "setpoint.live.port"),
+    ("setpoint.live = {}", "setpoint.live.port"),
+    ("setpoint.live = {port = 5005, prot = 1}", "setpoint.live.prot"),
+    ("setpoint.live = {port = 5005, largest_rate = 0.0}", "setpoint.live.largest_rate"),
+    ('setpoint = {live = {port = 5005}, file = "a.csv"}', "setpoint.file"),
+    ("setpoint = {live = {port = 5005}, steps = [{time = 1.0, x = 1.0}]}", "setpoint.steps"),
     # no number, and infinity where there is no bound
     ("duration = nan", "duration"),
     ("duration = inf", "duration"),
