@@ -84,14 +84,11 @@ class Polish:
         u: Array,
         x: Array,
         y: Array,
-        *,
-        thorough: bool,
     ) -> bool:
         """Set `x` and `y` to the exact answer, if it is found.
 
         Args:
             q, l, u: vectors of the QP; bounds may cross by rounding. x, y: loose answer.
-            thorough: whether to change rows one by one where all at once does not work.
         """
         search, A, P = self._search, self._A, self._P
         self.climbed = False
@@ -105,7 +102,7 @@ class Polish:
             x = x - self._inverse @ (P @ x + q + y @ A)
             v = A @ x
             found = search.leap(side, y, v)
-            if found is None and thorough:
+            if found is None:
                 self.climbed, patience = True, patience + search.steps
                 found = search.climb(y, v, patience - search.steps)
                 patience -= search.steps

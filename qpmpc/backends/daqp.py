@@ -127,7 +127,7 @@ class DaqpBackend(Backend):
         """Better an answer of proximal steps, which DAQP takes where P is only semidefinite."""
         if answer.status is Status.SOLVED and self._limits.time is None:
             self._polish.allow(self._limits.iterations or _EQUATIONS, np.inf)
-            if self._polish(q, l, u, answer.x, answer.y, thorough=True):
+            if self._polish(q, l, u, answer.x, answer.y):
                 answer.x, answer.y = self._polish.x, self._polish.y
         elif answer.status is Status.ITERATION_LIMIT and self._limits == Limits():
             form = self._form
