@@ -25,8 +25,6 @@ from qpmpc.polish import Polish
 from qpmpc.program import QuadraticProgram, SlackForm
 from qpmpc.status import Status
 
-_RHO = 3.0
-"""Step size to begin with; from the second round on OSQP adapts it."""
 _SETTINGS = {
     "verbose": False,
     "eps_abs": 1e-9,
@@ -35,13 +33,10 @@ _SETTINGS = {
     "eps_dual_inf": 1e-6,
     "check_termination": 25,
     "adaptive_rho_interval": 50,  # the default follows the clock: not the same twice
-    "rho": _RHO,
     "scaling": 0,  # done before
     "polishing": False,
     "warm_starting": True,
 }
-_ROUNDS = (50, 75, 150, 250, 500, 1000, 2000)
-"""OSQP's iterations before each polish; the first are mostly enough."""
 _FAR = 1e30
 """What OSQP takes for infinite."""
 _WITH_ITERATE = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
@@ -61,6 +56,11 @@ class OsqpBackend(Backend):
     replaces_rows: ClassVar[bool] = True
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
     smallest_part: ClassVar[int] = 32  # three calls of 8 variables cost twice one of 24
+
+    step_size: ClassVar[float] = 10.0
+    """OSQP's rho to begin with; from the second round on OSQP adapts it."""
+    rounds: ClassVar[tuple[int, ...]] = (15, 85, 150, 250, 500, 1000, 2000)
+    """OSQP's iterations before each polish; the first are mostly enough."""
 
     def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:
         """Set the solver up and solve once.
@@ -87,6 +87,7 @@ class OsqpBackend(Backend):
         self._osqp.osqp_set_default_settings(self._settings)
         for name, value in _SETTINGS.items():
             setattr(self._settings, name, value)
+        self._settings.rho = self.step_size
         self._most, self._time = limits.iterations or 10**9, limits.time or np.inf
         self._form = SlackForm(qp)
         self._soft, self._hard = qp.soft, np.flatnonzero(np.isinf(qp.linear))
@@ -157,7 +158,7 @@ class OsqpBackend(Backend):
         """Let OSQP and the polish take turns until one of them has an answer, or time is up."""
         answer, solver, polish = self._answer, self._solver, self._polish
         deadline = perf_counter() + self._time
-        for planned in _ROUNDS:
+        for planned in self.rounds:
             self._allow(min(planned, (self._most - answer.iterations + 1) // 2), deadline)
             solver.solve()
             info, found = solver.info, solver.solution
@@ -236,7 +237,7 @@ class OsqpBackend(Backend):
         np.maximum(price, 0.0, out=pull[h + k : h + 2 * k])
         np.subtract(np.abs(price), self._linear, out=pull[h + 2 * k :])
         if self._adapted:
-            self._solver.update_rho(_RHO)
+            self._solver.update_rho(self.step_size)
             self._adapted = False
         self._solver.update_data_vec(form.q, self._l, self._u)
         self._solver.warm_start(start, pull)
