@@ -51,8 +51,6 @@ class Polish:
         tolerances = (_EXACT, _MET) if self.definite else _INEXACT
         self._search = MultiplierSearch(self._linear, np.array(qp.quadratic), *tolerances)
         self._patience = 3 * qp.n + 20
-        self.climbed = False
-        """Whether rows had to change one by one in the last call."""
         self.x, self.y = np.zeros(qp.n), np.zeros(qp.m)
         """The exact answer, after a call that returned True."""
         self.replace_rows(np.array(qp.A))
@@ -91,11 +89,10 @@ class Polish:
             q, l, u: vectors of the QP; bounds may cross by rounding. x, y: loose answer.
         """
         search, A, P = self._search, self._A, self._P
-        self.climbed = False
         patience, u = self._patience, np.maximum(l, u)
         search.bound(l, u)
         low = np.where(l > -np.inf, -self._linear, 0.0)
-        y = np.clip(y, low, np.where(u < np.inf, self._linear, 0.0))
+        y = np.minimum(np.maximum(y, low), np.where(u < np.inf, self._linear, 0.0))
         side, last = search.sides(y, A @ x), None
         for _ in range(_CENTRES):
             centre = x
@@ -103,9 +100,9 @@ class Polish:
             v = A @ x
             found = search.leap(side, y, v)
             if found is None:
-                self.climbed, patience = True, patience + search.steps
-                found = search.climb(y, v, patience - search.steps)
-                patience -= search.steps
+                steps = search.steps
+                found = search.climb(y, v, patience)
+                patience -= search.steps - steps
             if found is None:
                 return False
             x = x - self.response @ (found[0] - y)

@@ -39,6 +39,9 @@ _SETTINGS = {
 }
 _FAR = 1e30
 """What OSQP takes for infinite."""
+_EFFORT = 100.0
+"""Systems of equations that a polish may solve for each iteration of OSQP, times the number of
+variables and rows: the larger a problem, the more iterations a system costs."""
 _WITH_ITERATE = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
 
 
@@ -57,10 +60,10 @@ class OsqpBackend(Backend):
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
     smallest_part: ClassVar[int] = 32  # three calls of 8 variables cost twice one of 24
 
-    step_size: ClassVar[float] = 10.0
+    step_size: ClassVar[float] = 1.0
     """OSQP's rho to begin with; from the second round on OSQP adapts it."""
-    rounds: ClassVar[tuple[int, ...]] = (15, 85, 150, 250, 500, 1000, 2000)
-    """OSQP's iterations before each polish; the first are mostly enough."""
+    rounds: ClassVar[tuple[int, ...]] = (25, 75, 150, 250, 500, 1000, 2000)
+    """OSQP's iterations before each polish."""
 
     def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:
         """Set the solver up and solve once.
@@ -89,6 +92,7 @@ class OsqpBackend(Backend):
             setattr(self._settings, name, value)
         self._settings.rho = self.step_size
         self._most, self._time = limits.iterations or 10**9, limits.time or np.inf
+        self._effort = _EFFORT / (qp.n + qp.m)
         self._form = SlackForm(qp)
         self._soft, self._hard = qp.soft, np.flatnonzero(np.isinf(qp.linear))
         self._A, self._linear = np.array(qp.A), qp.linear[self._soft]
@@ -171,7 +175,8 @@ class OsqpBackend(Backend):
                 answer.status = Status.FAILED
                 return
             self._form.multipliers(found.y, answer.y)
-            polish.allow(self._most - answer.iterations, deadline)
+            equations = max(int(planned * self._effort), 3)
+            polish.allow(min(equations, self._most - answer.iterations), deadline)
             exact = polish(q, l, u, answer.x, answer.y)
             answer.iterations += polish.steps
             if exact:
