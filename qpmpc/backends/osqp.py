@@ -132,7 +132,7 @@ class OsqpBackend(Backend):
 
     def forget(self) -> None:
         """Begin from zero."""
-        self._x.fill(0.0)
+        self._x = np.zeros_like(self._x)  # the old one may still be somebody's answer
         self._y.fill(0.0)
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
@@ -167,6 +167,7 @@ class OsqpBackend(Backend):
             solver.solve()
             info, found = solver.info, solver.solution
             answer.iterations += info.iter
+            self._adapted |= info.rho_updates > 0
             answer.status = self._status.get(info.status_val, Status.FAILED)
             answer.x = found.x[: self._x.size]
             if answer.status not in _WITH_ITERATE:
@@ -187,7 +188,6 @@ class OsqpBackend(Backend):
                 return
             if answer.iterations >= self._most or perf_counter() > deadline:
                 return
-            self._adapted = True
         if contradictory(self._A[self._hard], l[self._hard], u[self._hard]):
             answer.status = Status.INFEASIBLE
 

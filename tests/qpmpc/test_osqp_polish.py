@@ -195,6 +195,58 @@ def test_a_cycle_like_the_last_takes_few_iterations() -> None:
         assert raw.iterations <= 30
 
 
+def test_where_no_row_is_broken_osqp_has_nothing_to_do() -> None:
+    qp = QuadraticProgram(np.diag([1.0, 4.0]), np.zeros(2), np.eye(2), -1.0, 1.0)
+    solver = backend(qp)
+    raw = solver.solve(np.array([0.5, -4.0]), qp.l, qp.u)  # the second row exactly at its bound
+    assert (raw.status, raw.iterations) == (Status.SOLVED, 0)
+    np.testing.assert_allclose(raw.x, [-0.5, 1.0], rtol=1e-15)
+    assert not raw.y.any()
+    raw = solver.solve(np.array([0.5, -4.1]), qp.l, qp.u)
+    assert (raw.status, raw.iterations > 0) == (Status.SOLVED, True)
+    np.testing.assert_allclose(raw.x, [-0.5, 1.0], atol=1e-12)
+    np.testing.assert_allclose(raw.y, [0.0, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("polished", [True, False])
+def test_the_step_size_of_a_hard_cycle_is_not_kept(
+    polished: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a solve gives depends on the last multipliers alone."""
+    if not polished:
+        monkeypatch.setattr(Polish, "__call__", lambda *_, **__: False)
+    programs = [soft_program(np.random.default_rng(seed)) for seed in range(4)]
+    for qp in programs:
+        solver, fresh = backend(qp), backend(qp)
+        for scale in (1.0, 30.0, -8.0):
+            solver.solve(scale * qp.q, qp.l, qp.u)
+        solver.forget()
+        after, first = (s.solve(qp.q, qp.l, qp.u) for s in (solver, fresh))
+        assert after.iterations == first.iterations
+        np.testing.assert_array_equal(after.x, first.x)
+        np.testing.assert_array_equal(after.y, first.y)
+
+
+def test_the_larger_a_program_the_longer_it_is_left_to_osqp(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    allowed: list[int] = []
+
+    def allow(_: Polish, steps: int, __: float) -> None:
+        allowed.append(steps)
+
+    monkeypatch.setattr(Polish, "allow", allow)
+    monkeypatch.setattr(Polish, "__call__", lambda *_, **__: False)
+    most = []
+    for size in (8, 32, 128):
+        allowed.clear()
+        qp = QuadraticProgram(np.eye(size), np.full(size, -3.0), np.eye(size), -1.0, 1.0)
+        backend(qp).solve(qp.q, qp.l, qp.u)
+        most.append(allowed[0])
+    assert most == sorted(most, reverse=True)
+    assert most[0] > 100 > most[1] > 20 > most[2] >= 3
+
+
 def test_infeasible_and_unbounded() -> None:
     A = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     qp = QuadraticProgram(np.diag([1.0, 0.0]), np.zeros(2), A, -1.0, [1.0, np.inf, np.inf])
