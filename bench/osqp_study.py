@@ -283,7 +283,7 @@ def _cell(row: Row | None) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study and print it; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m bench.osqp_study", description=_WHAT)
-    parser.add_argument("--cycles", type=_positive, default=1000, help="of each case")
+    parser.add_argument("--cycles", type=_positive, default=500, help="of each case")
     parser.add_argument("--passes", type=_positive, default=3, help="over the same cycles")
     parser.add_argument("--horizons", type=_horizons, default=(8, 16, 32, 64, 128))
     parser.add_argument("--json", action="store_true", help="print rows as JSON, not as tables")
