@@ -56,6 +56,7 @@ def condensed(
     rows: Rows = "by bound",
     *,
     slack: bool = True,
+    unit: float = 0.0,
 ) -> Form:
     """Write the condensed QP.
 
@@ -65,6 +66,8 @@ def condensed(
             whitened by the Hessian's Cholesky factor. Each to the size of one in the mean.
         rows: what each is divided by: one, its norm, or the largest norm of its bound.
         slack: whether soft rows give way by a variable of their own; else they count as hard.
+        unit: slack is measured in units of its price to minus this power: 0 is the row's own unit,
+            1 the one in which the price is 1.
     """
     qp = program(data)
     n, n_u = qp.n, data.B.shape[1]
@@ -88,12 +91,15 @@ def condensed(
         c * data.linear / E if slack else none, c * data.quadratic / E**2 * slack,
     )  # fmt: skip
     form = SlackForm(scaled)
+    price = form.q[n:]
+    column = np.append(np.ones(n), price**-unit)
+    row = np.append(np.ones(form.l.size - price.size), price**unit)
     q, l, u = [], [], []  # noqa: E741
     for k in range(cycles.start, cycles.stop):
         form.update(c * (T.T @ data.q[k]), E * data.l[k], E * data.u[k])
-        q.append(form.q.copy())
-        l.append(np.maximum(form.l, -FAR))
-        u.append(np.minimum(form.u, FAR))
+        q.append(column * form.q)
+        l.append(np.maximum(row * form.l, -FAR))
+        u.append(np.minimum(row * form.u, FAR))
     ahead = np.linalg.inv(T) @ np.kron(np.eye(n // n_u, k=1), np.eye(n_u)) @ T
 
     def shift(x: Array, y: Array) -> tuple[Array, Array]:
@@ -102,7 +108,8 @@ def condensed(
     def first(_: int, x: Array) -> Array:
         return T[:n_u] @ x[:n]
 
-    P_, A_ = sparse.csc_matrix(np.triu(form.P)), sparse.csc_matrix(form.A)
+    P_ = sparse.csc_matrix(np.triu(column[:, None] * form.P * column))
+    A_ = sparse.csc_matrix(row[:, None] * form.A * column)
     return Form(P_, A_, np.array(q), np.array(l), np.array(u), first, shift)
 
 

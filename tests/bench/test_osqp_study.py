@@ -136,17 +136,19 @@ def test_a_row_tells_what_was_measured(data: Instances, some: slice) -> None:
 
 def test_a_limit_of_iterations_counts_as_stopped(data: Instances, some: slice) -> None:
     form = condensed(data, some)
-    _, iterations, stopped, _ = raw(form, max_iter=5, check_termination=0)()
+    _, iterations, stopped, _ = raw(form, max_iter=5, check_termination=0, time_limit=1e3)()
     assert (iterations == 5).all()
     assert stopped.all()
-    _, _, stopped, _ = raw(form)()
+    _, _, stopped, _ = raw(form, max_iter=100_000, time_limit=1e3)()
     assert not stopped.any()
 
 
 @pytest.mark.parametrize("start", ["last answer", "shifted", "cold"])
 def test_starts_change_the_way_and_not_the_answer(start: Any, data: Instances, some: slice) -> None:
     form = condensed(data, some)
-    _, _, _, first = raw(form, start=start, eps_abs=1e-8, eps_rel=1e-8)()
+    _, _, _, first = raw(
+        form, start=start, eps_abs=1e-8, eps_rel=1e-8, max_iter=100_000, time_limit=1e3
+    )()
     np.testing.assert_allclose(first, data.decision[some, :1], atol=1e-4)
 
 
