@@ -39,7 +39,7 @@ _SETTINGS = {
 }
 _FAR = 1e30
 """What OSQP takes for infinite."""
-_EFFORT = 100.0
+_EFFORT = 400.0
 """Systems of equations that a polish may solve for each iteration of OSQP, times the number of
 variables and rows: the larger a problem, the more iterations a system costs."""
 _WITH_ITERATE = (Status.SOLVED, Status.INACCURATE, Status.ITERATION_LIMIT)
