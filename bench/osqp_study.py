@@ -63,7 +63,7 @@ class Row:
     iterations: float
     """In the median; of backends with the equations of the polish."""
     stopped: float
-    """Share of the cycles that reached a limit."""
+    """Share of the cycles that reached a limit, or were called infeasible."""
     error: float
     """Of the first Delta u, at the worst [m/s^2]."""
 
@@ -278,7 +278,7 @@ def table(rows: Sequence[Row], part: Part) -> str:
 def _cell(row: Row | None) -> str:
     if row is None:
         return ""
-    stopped = f", {row.stopped:.0%} stopped" if row.stopped else ""
+    stopped = f", {row.stopped:.0%} unsolved" if row.stopped else ""
     return (
         f"{row.p50:.0f} / {row.p99:.0f} / {row.p999:.0f}; {row.iterations:.0f}; "
         f"{row.error:.0e}{stopped}"

@@ -168,7 +168,7 @@ def test_table_puts_cases_side_by_side() -> None:
         "| | a, N = 8 | b, N = 8 |",
         "|---|---|---|",
         "| one | 10 / 20 / 30; 5; 1e-06 | 10 / 20 / 30; 5; 1e-06 |",
-        "| two | 10 / 20 / 30; 5; 1e-06, 25% stopped |  |",
+        "| two | 10 / 20 / 30; 5; 1e-06, 25% unsolved |  |",
     ]
     assert "one" not in table(rows, "horizons")
 
