@@ -69,7 +69,7 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had.
     """
     period, cycles = scenario.cell.period, scenario.cycles
-    kind = backend_class(scenario.backend)  # one that is not there is told before anything is done
+    backend_class(scenario.backend)  # one that is not there is told before anything is done
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
     setpoint = _setpoint(scenario)
     schedule = Schedule(scenario)
@@ -87,19 +87,36 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
         )
 
     cell = another_cell()
+    controller = make_controller(scenario, cell, setpoint, schedule)
+    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
+    return Assembly(cell, setpoint, schedule, controller, log, another_cell)
+
+
+def make_controller(
+    scenario: Scenario, cell: Cell, setpoint: Setpoint | LiveSetpoint, schedule: Schedule
+) -> ForceController:
+    """Make the controller of a scenario, for the start of a run.
+
+    Args:
+        scenario: see there.
+        cell: at its start; what it tells of its joints is where bounds on them begin.
+        setpoint, schedule: of the run.
+
+    Raises:
+        ScenarioError, QpmpcError: what the scenario asks for cannot be had.
+    """
     controller = ForceController(
         scenario.controller,
         scenario.axes,
-        period,
-        kind,
+        scenario.cell.period,
+        backend_class(scenario.backend),
         joints=cell.joint_space(np.zeros(3), np.zeros(3)),
         moving=schedule.moving,
     )
     touching = scenario.cell.contact.gap == 0
     start = [setpoint.start[AXES.index(axis)] for axis in scenario.axes]
     controller.reset(np.array(start) * touching)
-    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
-    return Assembly(cell, setpoint, schedule, controller, log, another_cell)
+    return controller
 
 
 def run_experiment(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plant.interface import JointPlant, Plant
 from qpmpc.controller import Step
 from qpmpc.force_control import ForceController
-from scenarios.errors import ScenarioError
+from scenarios.cycle import ControlCycle
 from scenarios.live import LiveSetpoint
 from scenarios.log import Log
 from scenarios.schedule import Schedule
@@ -29,7 +29,6 @@ Pace = Callable[[], object]
 
 _EVERY = 250
 """Cycles between reports of progress."""
-_AXIS = {"x": 0, "y": 1, "z": 2}
 
 
 def control_loop(
@@ -57,13 +56,8 @@ def control_loop(
         pace: see `Pace`; as fast as it goes if not given.
         progress, stop: see `Progress`, `Stop`.
     """
-    every = controller.axes == tuple(_AXIS)
-    index = slice(None) if every else np.array([_AXIS[axis] for axis in controller.axes])
-    command = np.zeros(3)
+    cycle = ControlCycle(plant, controller, setpoint, schedule)
     low, high = (side.tolist() for side in schedule.first_command)
-    joints = plant if controller.bounds_joints and isinstance(plant, JointPlant) else None
-    if controller.bounds_joints and joints is None:
-        raise ScenarioError("joints are bounded, but the plant tells nothing about its joints")
     with quiet_memory():
         for k in range(cycles):
             if stop():
@@ -72,17 +66,9 @@ def control_loop(
                 pace()
             measurement = plant.measure()
             begin = perf_counter()
-            if schedule.due[k]:
-                for name in schedule.moving:
-                    controller.move(name, *schedule.preview(name, k))
-            if joints is not None:
-                controller.view(joints.joint_space(measurement.force, command))
-            step = controller.step(
-                measurement.force[index], measurement.velocity[index], setpoint.preview(k)
-            )
+            step = cycle.decide(k, measurement)
             decided = perf_counter()
-            command[index] = step.command
-            plant.apply(command)
+            plant.apply(cycle.command)
             applied = perf_counter()
             controller.prepare()
             cycle_time = decided - begin + perf_counter() - applied
