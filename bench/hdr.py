@@ -2,8 +2,8 @@
 
 A histogram of whole numbers counts them in buckets whose width grows with the value, so that each
 is known to a given number of decimal digits over the whole range. Two files are written: the
-percentile table (``.hgrm``, for the plotter) and the histogram log (``.hlog``) whose lines hold whole
-histograms in the V2 compressed encoding, each under a tag. Format: HdrHistogram's Java sources,
+percentile table (``.hgrm``, for the plotter) and the histogram log (``.hlog``), whose lines hold
+whole histograms in the V2 compressed encoding, each under a tag. Format: HdrHistogram's sources,
 ``AbstractHistogram.encodeIntoByteBuffer``, ``ZigZagEncoding``, ``HistogramLogWriter``.
 """
 
@@ -64,7 +64,7 @@ class Histogram:
 
     def percentile_table(self) -> str:
         """Return the table of ``.hgrm``: value, percentile, count up to it, 1/(1-percentile)."""
-        lines = [f"{'Value':>12} {'Percentile':>14} {'TotalCount':>10} {'1/(1-Percentile)':>14}", ""]
+        lines = ["       Value     Percentile TotalCount 1/(1-Percentile)", ""]
         filled = np.flatnonzero(self.counts)
         upto = np.cumsum(self.counts[filled])
         tops = _highest(filled)
@@ -73,11 +73,12 @@ class Histogram:
             row = f"{float(tops[i]):12.{DIGITS}f} {level:2.12f} {upto[i]:10d}"
             lines.append(f"{row} {1 / (1 - level):14.2f}" if level < 1 else row)
         buckets = max(1, int(self.largest).bit_length() - _HALF_MAGNITUDE)
-        lines += [
-            f"#[Mean    = {self.mean:12.{DIGITS}f}, StdDeviation   = {self.deviation:12.{DIGITS}f}]",
-            f"#[Max     = {float(self.largest):12.{DIGITS}f}, TotalCount     = {self.total:12d}]",
-            f"#[Buckets = {buckets:12d}, SubBuckets     = {2 * _HALF:12d}]",
-        ]
+        for left, one, right, other in (
+            ("Mean", f"{self.mean:.{DIGITS}f}", "StdDeviation", f"{self.deviation:.{DIGITS}f}"),
+            ("Max", f"{float(self.largest):.{DIGITS}f}", "TotalCount", str(self.total)),
+            ("Buckets", str(buckets), "SubBuckets", str(2 * _HALF)),
+        ):
+            lines.append(f"#[{left:7} = {one:>12}, {right:14} = {other:>12}]")
         return "\n".join(lines) + "\n"
 
 
@@ -110,14 +111,16 @@ def _bucket(values: NDArray[np.int64]) -> NDArray[np.int64]:
     # frexp's exponent is the bit length: exact below 2^53, and times are far below.
     length = np.frexp(np.maximum(values, 2 * _HALF - 1).astype(np.float64))[1].astype(np.int64)
     shift = length - (_HALF_MAGNITUDE + 1)
-    return ((shift + 1) << _HALF_MAGNITUDE) + (values >> shift) - _HALF
+    bucket: NDArray[np.int64] = ((shift + 1) << _HALF_MAGNITUDE) + (values >> shift) - _HALF
+    return bucket
 
 
 def _highest(buckets: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the largest value of each bucket."""
     shift = np.maximum((buckets >> _HALF_MAGNITUDE) - 1, 0)
     within = np.where(buckets < _HALF, buckets, (buckets & (_HALF - 1)) + _HALF)
-    return ((within + 1) << shift) - 1
+    highest: NDArray[np.int64] = ((within + 1) << shift) - 1
+    return highest
 
 
 def _levels(total: int) -> Iterable[float]:

@@ -60,11 +60,11 @@ def draw_percentiles(
     drawn = [curve for curve in curves if curve.values.size]
     for curve in drawn:
         rarity, values = _steps(curve.values)
-        i = [c.name for c in drawn if not c.floor].index(curve.name) if not curve.floor else 0
+        i = [c for c in drawn if c.floor == curve.floor].index(curve)
         panel.plot(
             rarity, values, label=curve.name,
             color="#888888" if curve.floor else _COLOURS[i % len(_COLOURS)],
-            linestyle=_LINES[(i // len(_COLOURS)) % len(_LINES)],
+            linestyle=_LINES[(i if curve.floor else i // len(_COLOURS)) % len(_LINES)],
             linewidth=2.2 if curve.floor else 1.3,
         )  # fmt: skip
     if limit is not None:

@@ -1,5 +1,7 @@
 """From measurement to command: what a cycle does between reading the plant and acting on it."""
 
+from time import perf_counter
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,8 +56,10 @@ class ControlCycle:
         Args:
             k: counted from the start of the run.
             measurement: of this cycle.
-            deadline: see `ForceController.step`.
+            deadline: what is left from now until the command has to be there [s]; without one, the
+                controller's own counts, see `ForceController.step`.
         """
+        due = None if deadline is None else perf_counter() + deadline
         controller, schedule, index = self.controller, self._schedule, self._index
         if schedule.due[k]:
             for name in schedule.moving:
@@ -66,7 +70,7 @@ class ControlCycle:
             measurement.force[index],
             measurement.velocity[index],
             self._setpoint.preview(k),
-            deadline=deadline,
+            deadline=None if due is None else due - perf_counter(),
         )
         self.command[index] = step.command
         return step

@@ -92,6 +92,15 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     return Assembly(cell, setpoint, schedule, controller, log, another_cell)
 
 
+def hold_still(cell: Cell, scenario: Scenario, setpoint: Setpoint) -> None:
+    """Close the brakes where the force would be the setpoint at the start in the tissue's middle.
+
+    The middle is that of its motion: no other place gives less force error.
+    """
+    cell.move_tool(setpoint.start / scenario.cell.contact.stiffness)
+    cell.close_brakes()
+
+
 def make_controller(
     scenario: Scenario, cell: Cell, setpoint: Setpoint | LiveSetpoint, schedule: Schedule
 ) -> ForceController:
@@ -130,9 +139,6 @@ def run_experiment(
 ) -> Experiment:
     """Run a scenario: controlled first, then with the brakes closed.
 
-    The tool is held where the force would be the setpoint if the tissue stood in the middle of
-    its motion: no other place gives less force error.
-
     Args:
         scenario: see there.
         report, stop: see `Report`, `scenarios.loop.Stop`.
@@ -152,8 +158,7 @@ def run_experiment(
     watch = shadow(made.controller) if shadow else None
     if held is None:
         still = made.another_cell()
-        still.move_tool(made.setpoint.start / scenario.cell.contact.stiffness)
-        still.close_brakes()
+        hold_still(still, scenario, made.setpoint)
     ready = perf_counter()
     controlled, stopped = None, None
     try:

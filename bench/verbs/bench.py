@@ -5,11 +5,13 @@ from typing import Annotated
 
 import tyro
 
+from bench.verbs.deadline import Deadline
 from bench.verbs.latency import Latency
 from bench.verbs.latency_compare import CompareLatency
 
 _Measurement = (
     Annotated[Latency, tyro.conf.subcommand("latency")]
+    | Annotated[Deadline, tyro.conf.subcommand("deadline")]
     | Annotated[CompareLatency, tyro.conf.subcommand("compare")]
 )
 
