@@ -73,6 +73,7 @@ def _row(entry: Entry, axes: Iterable[str]) -> Row:
         "name": subject.name,
         "kind": subject.kind,
         "backend": subject.name if controlled else None,
+        "path": subject.path,
         "cycles": cycles.count,
         "error": entry.stopped,
         "wake_us": _tail(cycles.wake),

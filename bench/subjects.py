@@ -21,6 +21,8 @@ class Subject(Protocol):
 
     name: str
     kind: Kind
+    path: str | None
+    """How the controller's step is run; None without one."""
     solve: int
     """What the last cycle's solve took [ns], `NONE` without one."""
     status: int
@@ -54,6 +56,7 @@ class Empty:
 
     name: str = "empty"
     kind: Kind = "empty"
+    path: str | None = None
     solve = status = source = NONE
 
     def respond(self, left: float) -> None:
@@ -113,6 +116,9 @@ class Controlled:
         self._setpoint = setpoint.force
         self._force = np.full((cycles, 3), np.nan)
         self._axes = ["xyz".index(axis) for axis in cycle.controller.axes]
+        # Where there is a compiled step, it is what runs.
+        compiled = getattr(cycle.controller.general, "compiled", None)
+        self.path: str | None = "interpreted" if compiled is None else "compiled"
         self.solve = self.status = self.source = NONE
         self._measurement: Measurement = plant.measure()
         self._force[0] = plant.truth().force
