@@ -59,7 +59,7 @@ def test_collection_is_stopped_only_if_the_heap_is_frozen_too() -> None:
 def test_usage_counts_the_pages_that_are_touched() -> None:
     before = usage()
     room = np.empty(64 * 2**20, dtype=np.uint8)
-    room[:: 4096] = 1
+    room[::4096] = 1
     after = usage()
     assert after["minor_faults"] > before["minor_faults"]
     assert all(after[name] >= before[name] for name in before)

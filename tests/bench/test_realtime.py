@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from bench import realtime
 from bench.machine import measures
 from bench.realtime import Measures, Pacer, SkippingClock, SystemClock, real_time
+
 from .clocks import FakeClock
 
 PERIOD = 1_000_000
@@ -77,7 +78,7 @@ def test_without_time_to_sleep_there_is_no_timer_to_be_late() -> None:
     clock = FakeClock(tick=1)
     pacer = Pacer(clock, PERIOD, 100_000)
     pacer.start()
-    release, late = pacer.wait()
+    release, _ = pacer.wait()
     clock.time = release + PERIOD + 5
     assert pacer.wait()[1] == 6
     assert pacer.timer == -1
