@@ -30,6 +30,9 @@ BLOCK = 2000
 """Cycles that one subject runs before the next one does: disturbances hit all alike."""
 WARM_UP = 500
 """Cycles of each subject that are run before any is counted."""
+PAUSE = 100_000_000
+"""Before each turn [ns]: who left the core no pause, and made others starve, must not be paid for
+by who comes next (see `real_time_share` of `bench.machine`)."""
 LEAD_IN = 20
 """Cycles at the start of each block that are not counted: another's data fill the caches."""
 
@@ -168,7 +171,7 @@ def _block(
         return True
     subject, deadline, period = entry.subject, cycles.deadline, cycles.period
     behind, now = False, pacer.clock.now
-    pacer.start()
+    pacer.start(lead=PAUSE)
     try:
         for i in range(lead_in + count):
             if stop():

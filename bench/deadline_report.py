@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from bench.cycles import NONE, SOURCES, STATUSES, Codes, Cycles, longest_run
-from bench.deadline import BLOCK, LEAD_IN, WARM_UP, Entry, Race
+from bench.deadline import BLOCK, LEAD_IN, PAUSE, WARM_UP, Entry, Race
 from bench.hdr import Histogram, histogram_log
 from bench.machine import Facts
 from bench.percentiles import Curve, draw_percentiles, tail
@@ -57,6 +57,7 @@ def summary(race: Race, *, paced: bool, spin: float, sleeps_by: str, machine: Fa
             "block": BLOCK,
             "warm_up": WARM_UP,
             "lead_in": LEAD_IN,
+            "pause_us": PAUSE * 1e-3,
         },
         "rows": [_row(entry, scenario.axes) for entry in race.entries]
         + [_refused(refusal.name, refusal.reason) for refusal in race.refused],

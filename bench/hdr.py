@@ -141,7 +141,7 @@ def _zigzag_runs(counts: NDArray[np.int64]) -> bytes:
     for i in filled.tolist():
         empty = i - before - 1
         if empty:
-            _put(result, -empty if empty > 1 else 0)
+            _put(result, -empty)
         _put(result, int(counts[i]))
         before = i
     return bytes(result)
