@@ -5,9 +5,9 @@ then; what counts is the response, from that intended release until the command 
 the controller gets ready for the next cycle, and the plant is simulated in what is left.
 
 A plant that is simulated takes time of this process that a real one would not. Where it ends after
-the next release, it puts off the releases to come by what it ordinarily takes, at the most, and
-this is counted and told; whatever it took beyond that is a disturbance like any other, and the next
-cycle begins late.
+the next release, the releases to come are put off by what it took, ordinarily takes at the most, so
+that the controller has what it would have beside a real one; this is counted and told. Whatever the
+plant took beyond that is a disturbance like any other, and the next cycle begins late.
 """
 
 from collections.abc import Callable, Sequence
@@ -184,9 +184,8 @@ def _block(
             settled = now()
             subject.advance()
             ended = now()
-            # What the plant alone delays the next cycle by.
-            beyond = ended - max(settled, release + period)
-            put_off = min(max(beyond, 0), entry.plant)
+            following = release + period
+            put_off = min(ended - settled, entry.plant) if ended > following else 0
             pacer.put_off(put_off)
             if i >= lead_in:
                 cycles.note(
@@ -195,7 +194,7 @@ def _block(
                     solve=subject.solve, status=subject.status, source=subject.source,
                     behind=behind, put_off=put_off,
                 )  # fmt: skip
-            behind = beyond > put_off
+            behind = ended - max(settled, following) > put_off
     except PlantError as error:
         entry.stopped = f"{error} (cycle {cycles.count})"
     return True

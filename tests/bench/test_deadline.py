@@ -13,7 +13,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -165,11 +165,11 @@ def test_what_a_plant_takes_ordinarily_is_put_off_and_told() -> None:
     cycles, _ = timed(lambda _: 4 * QUICK, lambda _: 9 * QUICK, cycles=50)
     assert set(cycles.response) == {4 * QUICK}
     assert cycles.overran.all()
-    assert set(cycles.put_off) == {3 * QUICK}
+    assert set(cycles.put_off) == {9 * QUICK}
     assert not cycles.missed.any()
     row = summary_of(race_of(cycles))["rows"][0]
     assert row["plant_overruns"] == 50
-    assert row["put_off_us"] == pytest.approx(50 * 300)
+    assert row["put_off_us"] == pytest.approx(50 * 900)
 
 
 def test_what_a_plant_takes_beyond_that_delays_the_next_cycle() -> None:
@@ -190,6 +190,34 @@ def test_a_slow_controller_is_not_excused_by_its_plant() -> None:
     assert not cycles.overran.any()
     # It falls behind by its own 0.2 ms a cycle, the plant's 0.3 ms are not its fault.
     assert set(np.diff(cycles.response)) == {2 * QUICK}
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    work=st.lists(
+        st.tuples(st.integers(0, 3 * MS), st.integers(0, 2 * MS)), min_size=1, max_size=50
+    ),
+    ordinary=st.integers(0, MS // 2),
+)
+def test_figures_are_those_of_the_recursion(work: list[tuple[int, int]], ordinary: int) -> None:
+    """Brute force over random controllers and plants, after a warm-up that tells the ordinary."""
+    first = WARM_UP + LEAD_IN
+
+    def part(i: int, before: int) -> Callable[[int], int]:
+        return lambda n: work[n - first][i] if n >= first else before
+
+    cycles, _ = timed(part(0, 0), part(1, ordinary), cycles=len(work))
+    release = free = 0
+    for k, (takes, plant) in enumerate(work):
+        begin = max(release, free)
+        done, free = begin + takes, begin + takes + plant
+        assert cycles.wake[k] == begin - release
+        assert cycles.response[k] == done - release
+        assert cycles.missed[k] == (done - release > MS)
+        put_off = min(plant, ordinary) if free > release + MS else 0
+        assert cycles.put_off[k] == put_off
+        assert cycles.overran[k] == (done <= release + MS < free)
+        release += MS + put_off
 
 
 # ---- turns
