@@ -21,7 +21,7 @@ from bench.realtime import NS, Clock, Pacer
 from bench.subjects import Controlled, Empty, Still, Subject
 from plant.errors import PlantError
 from qpmpc.errors import BackendSetupError
-from scenarios import Scenario
+from scenarios import Scenario, ScenarioError
 from scenarios.cycle import ControlCycle
 from scenarios.experiment import Assembly, Report, assemble, hold_still, make_controller
 from scenarios.loop import Stop
@@ -96,6 +96,8 @@ def enter(
         ScenarioError, QpmpcError, PlantError: what is asked for cannot be had. A backend that
         refuses the problem is told in the result.
     """
+    if scenario.setpoint.live is not None:
+        raise ScenarioError("setpoint.live: what is sent cannot be shared by several runs at once")
     period = scenario.cell.period
     total = cycles_in_all(cycles)
     scenario = replace(scenario, duration=total * period)
@@ -117,7 +119,7 @@ def enter(
             race.refused.append(Refusal(backend, str(error)))
             continue
         cycle = ControlCycle(cell, controller, made.setpoint, made.schedule)
-        subject = Controlled(backend, cell, cycle, made.setpoint, total)
+        subject = Controlled(backend, cell, cycle, made.setpoint.force, total)
         race.entries.append(Entry(subject, Cycles(*sizes)))
     if made is not None:
         still = made.another_cell()

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from bench.cycles import NONE, SOURCES, STATUSES
 from plant.interface import Measurement, Plant
 from scenarios.cycle import ControlCycle
-from scenarios.setpoint import Setpoint
 
 Array = NDArray[np.float64]
 Kind = Literal["empty", "plant", "backend"]
@@ -100,7 +99,7 @@ class Controlled:
     kind: Kind = "backend"
 
     def __init__(
-        self, name: str, plant: Plant, cycle: ControlCycle, setpoint: Setpoint, cycles: int
+        self, name: str, plant: Plant, cycle: ControlCycle, setpoint: Array, cycles: int
     ) -> None:
         """Begin.
 
@@ -108,12 +107,12 @@ class Controlled:
             name: of the backend.
             plant: at the start of its run.
             cycle: the controller of this plant.
-            setpoint: of the run.
+            setpoint: at each cycle, at least ``(cycles, n_axes)`` [N].
             cycles: how many there will be at most.
         """
         self.name = name
         self._plant, self._cycle, self._k = plant, cycle, 0
-        self._setpoint = setpoint.force
+        self._setpoint = setpoint
         self._force = np.full((cycles, 3), np.nan)
         self._axes = ["xyz".index(axis) for axis in cycle.controller.axes]
         # Where there is a compiled step, it is what runs.

@@ -92,7 +92,7 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     return Assembly(cell, setpoint, schedule, controller, log, another_cell)
 
 
-def hold_still(cell: Cell, scenario: Scenario, setpoint: Setpoint) -> None:
+def hold_still(cell: Cell, scenario: Scenario, setpoint: Setpoint | LiveSetpoint) -> None:
     """Close the brakes where the force would be the setpoint at the start in the tissue's middle.
 
     The middle is that of its motion: no other place gives less force error.
