@@ -18,10 +18,10 @@ _Measurement = (
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure time: of the solvers on recorded cycles, and of two such measurements together.
+    """Measure time: of solvers on recorded cycles, of whole cycles against their deadline.
 
-    For example, `pulsempc bench latency --backends analytic,daqp`, or
-    `pulsempc bench compare before.json after.json`.
+    For example, `pulsempc bench latency --backends analytic,daqp`,
+    `pulsempc bench deadline --realtime`, or `pulsempc bench compare before.json after.json`.
     """
 
     verb: Annotated[_Measurement, tyro.conf.arg(name="")]

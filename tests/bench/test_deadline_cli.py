@@ -136,7 +136,7 @@ def test_what_late_cycles_did_is_in_the_result(call, root, tmp_path) -> None:
         (["nosuch"], "nosuch"),
         (["--set", "controller.horizon=0"], "controller.horizon"),
         (["--motion", "nowhere.csv"], "nowhere.csv"),
-        (["--set", "setpoint.live.port=5005"], "cannot be shared"),
+        (["paper", "--set", "setpoint.live.port=5005"], "cannot be shared"),
         (["--unknown"], "--unknown"),
     ],
 )
