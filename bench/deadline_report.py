@@ -188,7 +188,7 @@ def deadline_tables(told: Row) -> list[Table]:
     stand_ins = ("late:\nplan", "closed\nform", "\nheld")
     others = ("plant\nbeyond", "RMS\n[N]")
     for table, columns in ((times, heads + tails), (fates, counts + stand_ins + others)):
-        table.add_column("")
+        table.add_column("", overflow="fold")
         for column in columns:
             table.add_column(column, justify="right")
     for row in told["rows"]:
