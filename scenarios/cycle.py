@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.interface import JointPlant, Measurement, Plant
-from qpmpc.controller import Step
-from qpmpc.force_control import ForceController
+from qpmpc import ForceController, Step
 from scenarios.errors import ScenarioError
 from scenarios.live import LiveSetpoint
 from scenarios.schedule import Schedule

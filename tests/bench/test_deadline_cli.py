@@ -170,3 +170,11 @@ def test_ctrl_c_ends_with_130_and_a_valid_part(start, root, tmp_path) -> None:
     told = load(tmp_path / "out", root)
     assert not told["complete"]
     assert 0 < told["rows"][0]["cycles"] < 8000
+
+
+def test_help_says_what_it_does_with_an_example(leave) -> None:
+    code, said, _ = leave("bench", "deadline", "--help")
+    assert code == 0
+    assert "For example" in said
+    for option in ("--realtime", "--backends", "--cycles", "--deadline", "--json", "--out"):
+        assert option in said
