@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, all_finite
-from qpmpc.backends import Backend, Limits
+from qpmpc.backends import Backend, Limits, backend_class
 from qpmpc.errors import ModelError, ShapeError
+from qpmpc.expectation import Ranges, expected
 from qpmpc.fallback import Fallback, Source
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
+from qpmpc.reference import Reference
 from qpmpc.residuals import Residuals
 from qpmpc.solver import NO_LIMITS, Solver
 from qpmpc.status import Status
-
-Reference = Callable[[Array, Array], Array]
-"""From preview ``(N + 1, n_outputs)`` and output ``(n_outputs,)`` to w ``(N, n_outputs)``."""
 
 _CLIP_TOLERANCE = 1e-6
 """Share of the room between the bounds that a solver's tolerance may cost without a word."""
@@ -93,6 +92,7 @@ class Controller:
         *,
         smallest_part: int | None = None,
         deadline: float | None = None,
+        ranges: Ranges | None = None,
     ) -> None:
         """Join the parts; the backend is set up and primed here.
 
@@ -104,6 +104,7 @@ class Controller:
             limits: when the backend has to stop, in each cycle.
             smallest_part: see `Solver`.
             deadline: of every step, from its start [s]; none if not given. See `step`.
+            ranges: what state and setpoint are expected to be, for backends that prepare for it.
 
         Raises:
             ModelError: the deadline is not positive.
@@ -112,13 +113,17 @@ class Controller:
         if deadline is not None and not deadline > 0:
             raise ModelError(f"deadline must be positive, got {deadline} s")
         self.problem, self.observer, self.reference = problem, observer, reference
+        kind = backend_class(backend) if isinstance(backend, str) else backend
         self.solver = Solver(
             problem.qp,
-            backend,
+            kind,
             problem.rows.values(),
             limits=limits,
             pattern=problem.pattern,
             smallest_part=smallest_part,
+            parameters=expected(problem, ranges, reference)
+            if ranges is not None and kind.takes_parameters
+            else None,
         )
         self._fallback = Fallback(problem)
         self.deadline = np.inf if deadline is None else deadline
@@ -144,6 +149,7 @@ class Controller:
         """Advance the observer under the command just applied; needs no measurement."""
         if not self._prepared:
             self.observer.predict(self.command)
+            self.solver.prepare()
             self._prepared = True
 
     def step(self, measurement: Array, preview: Array, *, deadline: float | None = None) -> Step:

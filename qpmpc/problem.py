@@ -13,9 +13,13 @@ from qpmpc.bounds import Bound, CommandBound, RateBound
 from qpmpc.construction import NUMPY, Construction, Decision
 from qpmpc.errors import BoundsError, ModelError, UnknownNameError
 from qpmpc.models import LinearModel
+from qpmpc.parametric import Parametric
 from qpmpc.prediction import Prediction
 from qpmpc.program import QuadraticProgram
 from qpmpc.rows import Rows, Setting
+
+Affine = tuple[Array, Array]
+"""Constant ``(n,)`` and map ``(n, d)`` of parameters."""
 
 
 class Problem:
@@ -186,6 +190,30 @@ class Problem:
             rows.mapped_offset(p, self._offset[where])
         np.subtract(self._l0, self._offset, out=self.l)
         np.subtract(self._u0, self._offset, out=self.u)
+
+    def parametric(self, state: Affine, previous: Affine, reference: Affine) -> Parametric | None:
+        """Return how the vectors follow from parameters, or None where rows change in time.
+
+        Args:
+            state: x(k), previous: u(k-1), reference: w(k+1) ... w(k+N), ``(N * n_outputs,)``:
+                each as constant and map of the parameters.
+        """
+        if self._mapped:
+            return None
+        constant = np.concatenate([state[0], previous[0]])
+        slope = np.vstack([state[1], previous[1]])
+        return Parametric(
+            self._error_to_q @ (reference[1] - self._free_map @ slope),
+            self._error_to_q @ (reference[0] - self._free_map @ constant),
+            self._row_map @ slope,
+            self._l0 - self._row_map @ constant,
+            self._u0 - self._row_map @ constant,
+        )
+
+    @property
+    def commands(self) -> tuple[Array, Array]:
+        """What u(k) may be by the bounds on it alone, ``(n_inputs,)`` each."""
+        return self._first[CommandBound]
 
     def command(self, decision: Array, previous: Array) -> Array:
         """Return u(k) ``(n_inputs,)`` from the first part of a decision ``(n_z,)`` and u(k-1)."""

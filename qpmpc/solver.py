@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from qpmpc.arrays import Array, all_finite
-from qpmpc.backends import Backend, Limits, backend_class
+from qpmpc.backends import Backend, Fact, Limits, backend_class
 from qpmpc.errors import BackendSetupError
+from qpmpc.parametric import Parametric
 from qpmpc.program import QuadraticProgram
 from qpmpc.residuals import UNKNOWN, Check, Residuals
 from qpmpc.scaling import Scaling
@@ -71,6 +72,7 @@ class Solver:
         limits: Limits = NO_LIMITS,
         pattern: Pattern | None = None,
         smallest_part: int | None = None,
+        parameters: Parametric | None = None,
     ) -> None:
         """Scale ``qp``, split it, and set the backend up on its constant part.
 
@@ -83,6 +85,7 @@ class Solver:
                 they are now, if not given.
             smallest_part: variables that make a component worth a call of its own; the backend's
                 own figure if not given.
+            parameters: what is known of the vectors to come, for backends that prepare for it.
 
         Raises:
             UnknownNameError, BackendUnavailableError, BackendSetupError.
@@ -101,6 +104,9 @@ class Solver:
             limits,
             patterns=(qp.P != 0, qp.A != 0 if pattern is None else pattern),
             smallest=smallest_part,
+            parameters=self._scaling.parameters(parameters)
+            if parameters is not None and kind.takes_parameters
+            else None,
         )
         self._check = Check(qp, self._scaling, TOLERANCE)
         self._x, self._y, self._room = np.zeros(qp.n), np.zeros(qp.m), np.zeros(qp.m)
@@ -120,9 +126,19 @@ class Solver:
         """Let the next solve start from nothing, where the backend starts from the last one."""
         self._parts.forget()
 
+<<<<<<< HEAD
     def no_answer(self) -> Solution:
         """Return what stands in the place of an answer where there is no time left for one."""
         return self._failure(Status.LATE, 0, 0.0, 0.0, 0.0)
+=======
+    def prepare(self) -> None:
+        """Let the backend do what can be done between two solves; need not be called."""
+        self._parts.prepare()
+
+    def facts(self) -> list[Mapping[str, Fact]]:
+        """Return what the backend tells of itself in each of the `parts`; mostly nothing."""
+        return self._parts.facts()
+>>>>>>> 0d9f612 (Backend explicit: enumerated before, searched in C, DAQP elsewhere, learning between solves)
 
     def solve(self, q: Array, l: Array, u: Array) -> Solution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)`` in the QP's own units.

@@ -9,7 +9,7 @@ all others; a step across tells what lies there.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,10 +24,12 @@ Find = Callable[[Array, Array, Array], Sides | None]
 
 THIN = 1e-5
 """Width, as a share of the parameters' range, below which a facet counts as none."""
-_STEP = 2e-6
+STEP = 2e-6
 """How far beyond a facet is looked for the neighbour."""
 _FLAT = 1e-9
 """Slope of an inequality, relative to its terms, that parameters do not move."""
+_SAMPLES, _SEED = 2000, 1
+"""How the covered share is estimated; the same numbers each time."""
 _PARALLEL = 1e-7
 """Difference between two inequalities that are the same facet."""
 
@@ -44,12 +46,15 @@ class Enumeration:
     """Whether every facet of every region was crossed, and led somewhere."""
     lost: int
     """Facets behind which no region was found: their rows depend on each other there."""
+    covered: float
+    """Share of the parameters' range in which the optimum lies in one of the regions, by sampling;
+    ties count for whichever region the solver names."""
 
 
 def enumerate_regions(
-    family: Family, parameters: Parametric, find: Find, most: int
+    family: Family, parameters: Parametric, find: Find, *, most: int, programs: int
 ) -> Enumeration:
-    """Return the regions that parameters within ``[-1, 1]^d`` reach, at most ``most``.
+    """Return the regions that parameters within ``[-1, 1]^d`` reach, as far as limits allow.
 
     Nearest first: an enumeration that ends early holds what surrounds the middle of the range.
 
@@ -57,14 +62,16 @@ def enumerate_regions(
         family: the QP. parameters: where its vectors come from.
         find: any solver, asked where a flip of one row is not what lies across a facet.
         most: regions after which it ends, not complete.
+        programs: small quadratic programs after which it ends; each takes some 10 microseconds and
+            more with many rows.
     """
     search = _Search(family, parameters, find)
     first = search.at(np.zeros(parameters.size))
     if first is None:
-        return Enumeration([], [], complete=False, lost=1)
+        return Enumeration([], [], complete=False, lost=1, covered=0.0)
     found, seen, queue, lost = [first], {first.key: 0}, [(0.0, 0)], 0
     links: list[Link] = []
-    while queue:
+    while queue and len(found) <= most and search.programs < programs:
         _, i = heapq.heappop(queue)
         for slots, key, point in search.facets(found[i]):
             if key in seen:
@@ -75,14 +82,13 @@ def enumerate_regions(
                 continue
             j = seen.get(there.key)
             if j is None:
-                if len(found) == most:
-                    return Enumeration(found, links, complete=False, lost=lost)
                 j = seen[there.key] = len(found)
                 found.append(there)
                 heapq.heappush(queue, (float(np.linalg.norm(point)), j))
             if there.key != key:
                 links += [(i, slot, j) for slot in slots]
-    return Enumeration(found, links, complete=lost == 0, lost=lost)
+    complete = not queue and not lost
+    return Enumeration(found, links, complete, lost, search.share(seen))
 
 
 class _Search:
@@ -103,6 +109,17 @@ class _Search:
         self._bounded = np.isfinite(self._room[:, -1])
         self._room[~self._bounded, -1] = 0.0
         self._box = np.vstack([np.eye(d), -np.eye(d)])
+        self.programs = 0
+        """Small quadratic programs solved so far."""
+
+    def share(self, keys: Container[bytes]) -> float:
+        """Return the share of the parameters' range whose optimum has one of some active rows."""
+        rng = np.random.default_rng(_SEED)
+        inside = 0
+        for v in rng.uniform(-1.0, 1.0, (_SAMPLES, self._parameters.size)):
+            sides = self._find(*self._parameters.vectors(v))
+            inside += sides is not None and sides.tobytes() in keys
+        return inside / _SAMPLES
 
     def at(self, v: Array) -> Region | None:
         """Return the region that holds ``v``, by solving there."""
@@ -119,7 +136,7 @@ class _Search:
         if there is None:
             return None
         slope, level, _ = self._inequalities(there)
-        return there if (slope @ v <= level + THIN * _STEP).all() else None
+        return there if (slope @ v <= level + THIN * STEP).all() else None
 
     def facets(self, here: Region) -> list[tuple[list[int], bytes | None, Array]]:
         """Return for each facet its changes of rows, the key that a single one gives, and a point.
@@ -155,9 +172,10 @@ class _Search:
             u[i] = l[i] = level[i]
             model.update(bupper=u, blower=l, sense=np.zeros(upper.size, dtype=np.int32))
             v, _, flag, _ = model.solve()
+            self.programs += 1
             if flag > 0:
                 key = change(here.key, slots[i]) if same.size == 1 else None
-                result.append(([slots[j] for j in same], key, v + _STEP * slope[i]))
+                result.append(([slots[j] for j in same], key, v + STEP * slope[i]))
         return result
 
     def _inequalities(self, here: Region) -> tuple[Array, Array, list[int]]:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from qpmpc.arrays import Array
-from qpmpc.explicit.law import EXACT, STEPS
+from qpmpc.explicit.law import EXACT
 from qpmpc.explicit.regions import FAR, Family, Link, Region
+
+
+_STEPS = 12
+"""Regions that a search tries at most."""
 
 
 class InterpretedWalk:
@@ -17,9 +23,11 @@ class InterpretedWalk:
     matrices were inverted before (Ferreau, Bock, Diehl, Int. J. Robust Nonlinear Control 18, 2008).
     """
 
-    def __init__(self, family: Family) -> None:
-        """Prepare for the regions of ``family``."""
-        self._family = family
+    language: ClassVar[str] = "numpy"
+
+    def __init__(self, family: Family, most: int | None = None) -> None:
+        """Prepare for the regions of ``family``; a search tries ``most`` of them at most."""
+        self._family, self.steps = family, min(_STEPS, most or _STEPS)
         n, m = family.n, family.m
         self.x, self.y = np.zeros(n), np.zeros(m)
         # Begin and end of the way, side by side: rooms, and what is left of them.
@@ -67,7 +75,7 @@ class InterpretedWalk:
         if level:
             self._low[:, 0] = np.where(equal, -family.linear, 0.0)
         index, way, self.stuck = self._last, 0.0, None
-        for tried in range(1, STEPS + 1):
+        for tried in range(1, self.steps + 1):
             here = self._regions[index]
             under, over, pull = self._measure(here, level=level)
             ends = np.concatenate([self._gap, under, over])
@@ -81,7 +89,7 @@ class InterpretedWalk:
                 self.stuck = index, slot
                 return -tried
             index = following
-        return -STEPS
+        return -self.steps
 
     def _measure(self, here: Region, *, level: bool) -> tuple[Array, Array, Array]:
         """Write what is left of each room in ``here`` and return what is left of each pull."""

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from qpmpc.arrays import Array
 from qpmpc.explicit.regions import Family, Link, Region, Sides, back, change, region
 
-STEPS = 24
-"""Regions that a search tries at most."""
-EXACT = 1e-9
+EXACT = 1e-10
 """How far, beside the size of gradient and multipliers, vectors may lie outside their region."""
 
 
@@ -29,6 +27,8 @@ class Tally:
     """Regions tried in all."""
     longest: int = 0
     """Regions tried in one search at most."""
+    latest: int = 0
+    """Regions tried in the last search."""
 
     def note(self, tried: int, *, found: bool) -> None:
         """Count one search."""
@@ -36,16 +36,25 @@ class Tally:
         self.walked += found and tried > 1
         self.missed += not found
         self.tried += tried
+        self.latest = tried
         self.longest = max(self.longest, tried)
 
 
 class Walk(Protocol):
     """A search over the regions of a law, in one language or another."""
 
+    language: ClassVar[str]
+    """What it is written in."""
+    steps: int
+    """Regions that a search tries at most."""
     x: Array
     """Minimiser where a region was found, ``(n,)``."""
     y: Array
     """Multipliers there, ``(m,)``."""
+
+    def __init__(self, family: Family, most: int | None = None) -> None:
+        """Prepare for the regions of ``family``; a search tries ``most`` of them at most."""
+        ...
 
     def clear(self) -> None:
         """Forget all regions, and take the family's rows as they are now."""
@@ -96,6 +105,7 @@ class Law:
         """
         self.walk.clear()
         self._index: dict[bytes, int] = {}
+        self._widest = 0
         self.nbytes = self.family.nbytes
         """Memory that the regions take, and what they share [bytes]."""
         free = region(self.family, bytes(self.family.m))
@@ -111,6 +121,13 @@ class Law:
 
     def __len__(self) -> int:
         return len(self._index)
+
+    @property
+    def operations(self) -> int:
+        """Multiplications of the longest search there can be, its answer included."""
+        n, m, k = self.family.n, self.family.m, self._widest
+        once = k * k + m * k + 2 * m  # pulls, what they take from the rows, the comparisons
+        return n * m + 2 * self.walk.steps * once + n * n + n * k
 
     def solve(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
         """Whether a stored region holds the vectors; the optimum is in ``walk`` then."""
@@ -136,6 +153,7 @@ class Law:
     def _store(self, new: Region) -> int:
         index = self._index[new.key] = len(self._index)
         self.walk.add(new)
+        self._widest = max(self._widest, new.held.size)
         self.nbytes += new.nbytes + _LINK * 2 * self.family.m
         for slot in range(2 * self.family.m):
             key = change(new.key, slot)
