@@ -61,7 +61,7 @@ class ExplicitBackend(Backend):
         except np.linalg.LinAlgError as error:
             raise BackendSetupError(self.name, "P is not positive definite") from error
         self._qp, self._daqp = qp, DaqpBackend(qp, limits)
-        walk = _walk(self._family, limits.iterations)
+        self._walk = walk = _walk(self._family, limits.iterations)
         self._law = Law(self._family, walk, LEARNED)
         self._sides = MultiplierSearch(self._family.linear, np.array(qp.quadratic), _EXACT, _EXACT)
         self._sides.replace_gram(self._family.gram)
@@ -110,7 +110,7 @@ class ExplicitBackend(Backend):
     def forget(self) -> None:
         """Begin the next search where no row is active, and DAQP without an active set."""
         self._missed = None
-        self._law.walk.forget()
+        self._walk.forget()
         self._daqp.forget()
 
     def prepare(self) -> None:
@@ -121,32 +121,34 @@ class ExplicitBackend(Backend):
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Search from the last region on, else solve by DAQP."""
-        self.prepare()
-        law, answer = self._law, self._answer
-        found = law.solve(q, l, u)
-        if found:
-            answer.status, answer.x, answer.y = Status.SOLVED, law.walk.x, law.walk.y
-            answer.iterations = law.tally.latest
-        else:
-            other = self._daqp.solve(q, l, u)
-            answer.status, answer.x, answer.y = other.status, other.x, other.y
-            answer.iterations = law.tally.latest + other.iterations
-            if self._steady and other.status is Status.SOLVED:
-                self._missed = self._active(other, q, l, u)
-        self._steady = True
+        if self._missed is not None:
+            self.prepare()
+        answer = self._answer
+        answer.iterations = self._walk.search(q, l, u)
+        if answer.iterations < 0:
+            return self._beside(q, l, u)
         return answer
+
+    def _beside(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
+        """Solve what no region holds."""
+        other = self._daqp.solve(q, l, u)
+        if self._steady and other.status is Status.SOLVED:
+            self._missed = self._active(other, q, l, u)
+        self._steady = True
+        other.iterations -= self._answer.iterations
+        return other
 
     def facts(self) -> Mapping[str, Fact]:
         """Return sizes of the law, its bound on a search, and how searches have ended."""
-        law, found, tally = self._law, self._enumeration, self._law.tally
+        law, found, tally = self._law, self._enumeration, self._walk.tally
         return {
             "regions": len(law),
             "regions_enumerated": len(found.regions),
             "complete": found.complete,
             "covered": found.covered,
             "memory_bytes": law.nbytes,
-            "language": law.walk.language,
-            "most_tried": law.walk.steps,
+            "language": self._walk.language,
+            "most_tried": self._walk.steps,
             "most_operations": law.operations,
             "found_at_once": tally.same,
             "found_elsewhere": tally.walked,

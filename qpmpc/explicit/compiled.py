@@ -9,14 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from qpmpc.arrays import Array
-from qpmpc.explicit.law import EXACT
+from qpmpc.explicit.law import EXACT, Tally
 from qpmpc.explicit.regions import FAR, Family, Link, Region
 from qpmpc.native import compile_library
 
 _SOURCE = Path(__file__).with_name("walk.c")
 _STEPS = 32
 """Regions that a search tries at most."""
-_int, _double, _pointer = ctypes.c_int32, ctypes.c_double, ctypes.c_void_p
+_int, _long, _double, _pointer = ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
 class _Region(ctypes.Structure):
@@ -31,6 +31,7 @@ class _Law(ctypes.Structure):
     _fields_ = (
         ("n", _int), ("m", _int), ("steps", _int), ("last", _int), ("begun", _int),
         ("stuck_at", _int), ("stuck_slot", _int), ("unused", _int),
+        ("same", _long), ("walked", _long), ("missed", _long), ("tried", _long), ("longest", _long),
         ("exact", _double), ("far", _double),
         ("minimiser", _pointer), ("rows", _pointer), ("response", _pointer), ("gram", _pointer),
         ("linear", _pointer), ("regions", _pointer),
@@ -70,7 +71,7 @@ class CompiledWalk:
             self._work[i : i + 2].ctypes.data for i in (0, 2, 4, 6)
         )
         law.pull_begin, law.pull = (self._work[i].ctypes.data for i in (8, 9))
-        self._address = ctypes.addressof(law)
+        self._address = _pointer(ctypes.addressof(law))
         self.clear()
 
     def clear(self) -> None:
@@ -115,6 +116,12 @@ class CompiledWalk:
         law = self._law
         return (law.stuck_at, law.stuck_slot) if law.stuck_at >= 0 <= law.stuck_slot else None
 
+    @property
+    def tally(self) -> Tally:
+        """How searches ended so far."""
+        law = self._law
+        return Tally(law.same, law.walked, law.missed, law.tried, law.longest)
+
     def stand(self, index: int) -> None:
         """Begin the next search in a region that holds the vectors of the last one."""
         self._stand(self._address, index)
@@ -126,4 +133,5 @@ class CompiledWalk:
     def search(self, q: Array, l: Array, u: Array) -> int:  # noqa: E741
         """Return how many regions were tried, the last of which holds; negative if none does."""
         self._q[:], self._l[:], self._u[:] = q, l, u
-        return int(self._search(self._address))
+        found: int = self._search(self._address)
+        return found

@@ -30,6 +30,8 @@ _FLAT = 1e-9
 """Slope of an inequality, relative to its terms, that parameters do not move."""
 _SAMPLES, _SEED = 2000, 1
 """How the covered share is estimated; the same numbers each time."""
+_HELD = 2e-8
+"""How far outside a region a point may lie by rounding; far less than a step across."""
 _PARALLEL = 1e-7
 """Difference between two inequalities that are the same facet."""
 
@@ -136,7 +138,7 @@ class _Search:
         if there is None:
             return None
         slope, level, _ = self._inequalities(there)
-        return there if (slope @ v <= level + THIN * STEP).all() else None
+        return there if (slope @ v <= level + _HELD).all() else None
 
     def facets(self, here: Region) -> list[tuple[list[int], bytes | None, Array]]:
         """Return for each facet its changes of rows, the key that a single one gives, and a point.

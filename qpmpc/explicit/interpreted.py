@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from qpmpc.arrays import Array
-from qpmpc.explicit.law import EXACT
+from qpmpc.explicit.law import EXACT, Tally
 from qpmpc.explicit.regions import FAR, Family, Link, Region
 
 
@@ -33,6 +33,7 @@ class InterpretedWalk:
         # Begin and end of the way, side by side: rooms, and what is left of them.
         self._room, self._gap = np.ones((2 * m, 2)), np.empty((2 * m, 2))
         self._low = np.zeros((m, 1))
+        self.tally = Tally()
         self.clear()
 
     def clear(self) -> None:
@@ -62,6 +63,11 @@ class InterpretedWalk:
 
     def search(self, q: Array, l: Array, u: Array) -> int:  # noqa: E741
         """Return how many regions were tried, the last of which holds; negative if none does."""
+        found = self._walk(q, l, u)
+        self.tally.note(abs(found), found=found > 0)
+        return found
+
+    def _walk(self, q: Array, l: Array, u: Array) -> int:  # noqa: E741
         family, room, m = self._family, self._room, self._family.m
         r = np.dot(family.rows, q)
         np.subtract(u, r, out=room[:m, 1])

@@ -27,8 +27,6 @@ class Tally:
     """Regions tried in all."""
     longest: int = 0
     """Regions tried in one search at most."""
-    latest: int = 0
-    """Regions tried in the last search."""
 
     def note(self, tried: int, *, found: bool) -> None:
         """Count one search."""
@@ -36,7 +34,6 @@ class Tally:
         self.walked += found and tried > 1
         self.missed += not found
         self.tried += tried
-        self.latest = tried
         self.longest = max(self.longest, tried)
 
 
@@ -69,6 +66,11 @@ class Walk(Protocol):
         ...
 
     @property
+    def tally(self) -> Tally:
+        """How searches ended so far."""
+        ...
+
+    @property
     def stuck(self) -> tuple[int, int] | None:
         """Region and slot behind which the last search knew of nothing; None if not for that."""
         ...
@@ -92,7 +94,6 @@ class Law:
     def __init__(self, family: Family, walk: Walk, most: int) -> None:
         """Begin with the region that has no active row; up to ``most`` can be learned."""
         self.family, self.walk, self._most = family, walk, most
-        self.tally = Tally()
         self.restart()
 
     def restart(self, regions: Iterable[Region] = (), links: Iterable[Link] = ()) -> None:
@@ -128,12 +129,6 @@ class Law:
         n, m, k = self.family.n, self.family.m, self._widest
         once = k * k + m * k + 2 * m  # pulls, what they take from the rows, the comparisons
         return n * m + 2 * self.walk.steps * once + n * n + n * k
-
-    def solve(self, q: Array, l: Array, u: Array) -> bool:  # noqa: E741
-        """Whether a stored region holds the vectors; the optimum is in ``walk`` then."""
-        tried = self.walk.search(q, l, u)
-        self.tally.note(abs(tried), found=tried > 0)
-        return tried > 0
 
     def learn(self, sides: Sides) -> None:
         """Begin the next search in the region that holds the vectors of the last one.

@@ -21,6 +21,7 @@ typedef struct {
 
 typedef struct {
     int32_t n, m, steps, last, begun, stuck_at, stuck_slot, unused;
+    int64_t same, walked, missed, tried, longest;
     double exact, far;
     const double *minimiser; /* n n */
     const double *rows;      /* m n */
@@ -117,7 +118,7 @@ void walk_stand(law *w, int32_t index)
     memcpy(w->begin, w->end, 2 * (size_t)w->m * sizeof(double));
 }
 
-int32_t walk_search(law *w)
+static int32_t search(law *w)
 {
     const int32_t n = w->n, m = w->m;
     double level = 0.0, way = 0.0;
@@ -166,4 +167,16 @@ int32_t walk_search(law *w)
         way = reach;
     }
     return -w->steps;
+}
+
+/* How many regions were tried, the last of which holds; negative if none does. */
+int32_t walk_search(law *w)
+{
+    const int32_t found = search(w), tried = found > 0 ? found : -found;
+    w->same += found == 1;
+    w->walked += found > 1;
+    w->missed += found < 0;
+    w->tried += tried;
+    if (tried > w->longest) w->longest = tried;
+    return found;
 }
