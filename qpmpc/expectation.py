@@ -43,11 +43,9 @@ def expected(problem: Problem, ranges: Ranges, reference: Reference) -> Parametr
     n, n_u, n_y = problem.model.n_states, problem.model.n_inputs, problem.model.n_outputs
     centre, half = bounds.mean(axis=1), (bounds[:, 1] - bounds[:, 0]) / 2
     every = np.eye(bounds.shape[0])
-    for state, command in _registers(problem.model):
-        every[state], centre[state], half[state] = every[n + command], centre[n + command], half[
-            n + command
-        ]
     slope = half[:, None] * every
+    for state, command in _registers(problem.model):
+        slope[state], centre[state] = slope[n + command], centre[n + command]
     slope = slope[:, slope.any(axis=0)]
     x, u, s = (slice(0, n), slice(n, n + n_u), slice(n + n_u, n + n_u + n_y))
     follow = _tangent(reference, problem.horizon, n_y)

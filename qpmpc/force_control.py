@@ -109,20 +109,10 @@ class ForceController:
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
         limits = Limits(config.solver.max_iterations, config.solver.time_limit)
         self.general = Controller(
-<<<<<<< HEAD
             problem, observer, reference, kind, limits,
             smallest_part=config.solver.smallest_part, deadline=config.solver.deadline,
-        )  # fmt: skip
-=======
-            problem,
-            observer,
-            reference,
-            kind,
-            limits,
-            smallest_part=config.solver.smallest_part,
             ranges=self._ranges(config, axis.quantities, period),
-        )
->>>>>>> 0d9f612 (Backend explicit: enumerated before, searched in C, DAQP elsewhere, learning between solves)
+        )  # fmt: skip
         self._measurement = np.zeros((count, axis.measured.shape[0]))
 
     def reset(self, force: Array) -> None:

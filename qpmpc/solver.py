@@ -126,11 +126,10 @@ class Solver:
         """Let the next solve start from nothing, where the backend starts from the last one."""
         self._parts.forget()
 
-<<<<<<< HEAD
     def no_answer(self) -> Solution:
         """Return what stands in the place of an answer where there is no time left for one."""
         return self._failure(Status.LATE, 0, 0.0, 0.0, 0.0)
-=======
+
     def prepare(self) -> None:
         """Let the backend do what can be done between two solves; need not be called."""
         self._parts.prepare()
@@ -138,7 +137,6 @@ class Solver:
     def facts(self) -> list[Mapping[str, Fact]]:
         """Return what the backend tells of itself in each of the `parts`; mostly nothing."""
         return self._parts.facts()
->>>>>>> 0d9f612 (Backend explicit: enumerated before, searched in C, DAQP elsewhere, learning between solves)
 
     def solve(self, q: Array, l: Array, u: Array) -> Solution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)`` in the QP's own units.

@@ -76,6 +76,7 @@ class _Part:
         limits: Limits,
         variables: Indices,
         rows: Indices,
+        *,
         parameters: Parametric | None,
     ) -> None:
         self.kind, self.limits, self.variables, self.rows = kind, limits, variables, rows
@@ -126,7 +127,7 @@ class Parts:
         """
         found = components(*patterns, smallest or kind.smallest_part)
         share = Limits(limits.iterations, limits.time and limits.time / len(found))
-        self._parts = [_Part(kind, qp, share, *indices, parameters) for indices in found]
+        self._parts = [_Part(kind, qp, share, *indices, parameters=parameters) for indices in found]
         self._order = np.concatenate([part.variables for part in self._parts])
         self._row_order = np.concatenate([part.rows for part in self._parts])
         self._empty = np.setdiff1d(np.arange(qp.m), self._row_order)

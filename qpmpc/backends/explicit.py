@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import ClassVar
 
 import numpy as np
@@ -43,7 +44,9 @@ class ExplicitBackend(Backend):
 
     name: ClassVar[str] = "explicit"
     package: ClassVar[str] = "daqp"
-    summary: ClassVar[str] = "explicit law: regions enumerated before, searched in C; DAQP elsewhere"
+    summary: ClassVar[str] = (
+        "explicit law: regions enumerated before, a short search; DAQP elsewhere"
+    )
     warm_starts: ClassVar[bool] = True
     replaces_rows: ClassVar[bool] = True
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
@@ -82,10 +85,8 @@ class ExplicitBackend(Backend):
             found = enumerate_regions(
                 self._family, parameters, self._find, most=REGIONS, programs=PROGRAMS
             )
-            try:
+            with suppress(CacheError):  # the next time takes as long
                 archive.save(name, found, self._qp.m)
-            except CacheError:
-                pass  # the next time takes as long
         self._enumeration = found
         self._law.restart(found.regions, found.links)
 

@@ -6,6 +6,7 @@ import hashlib
 import io
 from dataclasses import fields
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def load(name: str, family: Family) -> Enumeration | None:
             sides, links, told = file["sides"], file["links"], file["told"]
         regions = [region(family, row.tobytes()) for row in sides.astype(np.int8)]
         complete, lost, covered = bool(told[0]), int(told[1]), float(told[2])
-    except (OSError, ValueError, KeyError, IndexError):
+    except (OSError, ValueError, KeyError, IndexError, BadZipFile):
         return None
     if sides.shape[1:] != (family.m,) or links.shape[1:] != (3,) or None in regions:
         return None

@@ -97,8 +97,8 @@ class CompiledWalk:
         fixed = np.flatnonzero(new.base)
         arrays = (
             np.array(new.sides), np.append(new.held, fixed).astype(np.int32),
-            new.pick.astype(np.int32), new.sign, new.low, new.high, new.shift, new.inverse, new.base,
-            np.full(2 * self._family.m, -1, dtype=np.int32),
+            new.pick.astype(np.int32), new.sign, new.low, new.high, new.shift, new.inverse,
+            new.base, np.full(2 * self._family.m, -1, dtype=np.int32),
         )  # fmt: skip
         self._kept.append(arrays)
         self._table[self._count] = _Region(

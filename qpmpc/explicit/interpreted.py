@@ -10,7 +10,6 @@ from qpmpc.arrays import Array
 from qpmpc.explicit.law import EXACT, Tally
 from qpmpc.explicit.regions import FAR, Family, Link, Region
 
-
 _STEPS = 12
 """Regions that a search tries at most."""
 
