@@ -108,10 +108,12 @@ class ForceController:
         )
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
         limits = Limits(config.solver.max_iterations, config.solver.time_limit)
+        self.ranges = self._ranges(config, axis.quantities, period)
+        """What states and setpoint are expected to be; see `qpmpc.expectation`."""
         self.general = Controller(
             problem, observer, reference, kind, limits,
             smallest_part=config.solver.smallest_part, deadline=config.solver.deadline,
-            ranges=self._ranges(config, axis.quantities, period),
+            ranges=self.ranges,
         )  # fmt: skip
         self._measurement = np.zeros((count, axis.measured.shape[0]))
 

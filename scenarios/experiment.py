@@ -1,6 +1,6 @@
 """One experiment: the run under control, and the same motion on a tool that is held still."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from plant.cell import Cell, heart_programme
 from plant.errors import UnstableSimulationError
-from qpmpc.backends import backend_class
+from qpmpc.backends import Fact, backend_class
 from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
 from scenarios.consistency import band
@@ -56,6 +56,8 @@ class Experiment:
     """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``; 0 if not run."""
     live: dict[str, int] | None = None
     """What came of a setpoint that was sent, see `scenarios.live.Counts`; None without one."""
+    backend_facts: Sequence[Mapping[str, Fact]] = ()
+    """What the backend told of itself, one entry for each problem that it solved a cycle."""
 
 
 def assemble(scenario: Scenario, report: Report) -> Assembly:
@@ -206,6 +208,7 @@ def run_experiment(
             "uncompensated": ended - controlled if held is None else 0.0,
         },
         made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
+        made.controller.general.solver.facts(),
     )
 
 

@@ -62,6 +62,7 @@ def summarise(experiment: Experiment) -> Summary:
     return {
         "scenario": scenario.name,
         "backend": scenario.backend,
+        "backend_facts": [dict(facts) for facts in experiment.backend_facts if facts],
         "seed": scenario.seed,
         "cycles": end,
         "complete": experiment.stopped is None,
