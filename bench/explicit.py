@@ -9,13 +9,15 @@ from time import perf_counter
 import numpy as np
 
 from qpmpc import BoundsConfig, ControllerConfig, ForceController, ObserverConfig
-from qpmpc.config import FREE, Band, Disturbance
+from qpmpc.arrays import Array
+from qpmpc.config import Disturbance
 
 _PERIOD = 1e-3
-_BANDS: dict[str, dict[str, Band]] = {
-    "command": {"velocity": FREE, "force": FREE},
-    "command, velocity": {"velocity": (-0.1, 0.1), "force": FREE},
-    "command, velocity, force": {"velocity": (-0.1, 0.1), "force": (-14.0, 2.0)},
+_COMMAND, _VELOCITY, _FORCE = (-20.0, 20.0), (-0.1, 0.1), (-14.0, 2.0)
+_BOUNDS = {
+    "command": BoundsConfig(command=_COMMAND),
+    "command, velocity": BoundsConfig(command=_COMMAND, velocity=_VELOCITY),
+    "command, velocity, force": BoundsConfig(command=_COMMAND, velocity=_VELOCITY, force=_FORCE),
 }
 _CYCLES = 2000
 
@@ -47,7 +49,7 @@ def measure(horizon: int, bounds: str, disturbance: Disturbance) -> Size:
     """Make the law of one axis and let it meet states that wander through what is expected."""
     config = ControllerConfig(
         horizon=horizon,
-        bounds=BoundsConfig(command=(-20.0, 20.0), **_BANDS[bounds]),
+        bounds=_BOUNDS[bounds],
         observer=ObserverConfig(disturbance=disturbance),
     )
     begin = perf_counter()
@@ -81,8 +83,8 @@ def measure(horizon: int, bounds: str, disturbance: Disturbance) -> Size:
 
 
 def _walk(
-    state: np.ndarray, setpoint: np.ndarray, commands: tuple[np.ndarray, np.ndarray]
-) -> Iterator[tuple[np.ndarray, ...]]:
+    state: Array, setpoint: Array, commands: tuple[Array, Array]
+) -> Iterator[tuple[Array, Array, Array]]:
     """Yield states, last commands and setpoints that wander, slowly against the cycle."""
     sides = np.vstack([state, np.column_stack(commands), setpoint])
     centre, half = sides.mean(axis=1), np.ptp(sides, axis=1) / 2
@@ -94,20 +96,19 @@ def _walk(
         yield values[:n], values[n : n + 1], values[n + 1 :]
 
 
-def table(sizes: Sequence[Size]) -> str:
-    """Return the table in Markdown."""
-    lines = [
-        "| N | bounds | disturbance | rows | regions | complete | covered | memory | most "
-        "multiplications | set up | same region | left to DAQP | longest search |",
-        "|" + "---|" * 13,
-    ]
-    for s in sizes:
-        lines.append(
-            f"| {s.horizon} | {s.bounds} | {s.disturbance} | {s.rows} | {s.regions} | "
-            f"{'yes' if s.complete else 'no'} | {s.covered:.1%} | {s.memory / 1e3:.0f} kB | "
-            f"{s.operations} | {s.seconds:.1f} s | {s.at_once:.1%} | {s.left:.2%} | {s.longest} |"
-        )
-    return "\n".join(lines)
+_HEAD = (
+    "| N | bounds | disturbance | rows | regions | complete | covered | memory | most "
+    "multiplications | set up | same region | left to DAQP | longest search |\n"
+    f"|{'---|' * 13}\n"
+)
+
+
+def _line(s: Size) -> str:
+    return (
+        f"| {s.horizon} | {s.bounds} | {s.disturbance} | {s.rows} | {s.regions} | "
+        f"{'yes' if s.complete else 'no'} | {s.covered:.1%} | {s.memory / 1e3:.0f} kB | "
+        f"{s.operations} | {s.seconds:.1f} s | {s.at_once:.1%} | {s.left:.2%} | {s.longest} |\n"
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -119,10 +120,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         horizons = [int(word) for word in asked.horizons.split(",")]
     except ValueError:
         parser.error(f"--horizons: whole numbers separated by commas, got '{asked.horizons}'")
-    sizes = [measure(n, "command, velocity, force", "fused") for n in horizons]
-    sizes += [measure(8, bounds, "fused") for bounds in list(_BANDS)[:2]]
-    sizes += [measure(8, "command, velocity, force", kind) for kind in ("none", "constant")]
-    sys.stdout.write(table(sizes) + "\n")
+    every = list(_BOUNDS)[-1]
+    asked_for: list[tuple[int, str, Disturbance]] = [(n, every, "fused") for n in horizons]
+    asked_for += [(8, bounds, "fused") for bounds in list(_BOUNDS)[:-1]]
+    asked_for += [(8, every, "constant"), (8, every, "none")]
+    sys.stdout.write(_HEAD)
+    for problem in asked_for:
+        sys.stdout.write(_line(measure(*problem)))
+        sys.stdout.flush()
     return 0
 
 

@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from qpmpc.arrays import Array
-from qpmpc.explicit.enumeration import STEP, THIN, Enumeration
+from qpmpc.explicit.enumeration import STEPS, THIN, Enumeration
 from qpmpc.explicit.regions import Family, region
 from qpmpc.native.cache import DIGEST, folder, sound, store, workplace
 from qpmpc.native.errors import CacheError
@@ -24,7 +24,7 @@ _FORMAT = "1"
 
 def name_of(qp: QuadraticProgram, parameters: Parametric, limits: tuple[int, ...]) -> str:
     """Return the name of the file for a QP, what is known of its vectors, and limits."""
-    digest = hashlib.sha256(repr((_FORMAT, THIN, STEP, limits, qp.n, qp.m)).encode())
+    digest = hashlib.sha256(repr((_FORMAT, THIN, STEPS, limits, qp.n, qp.m)).encode())
     for each in (qp.P, qp.A, qp.linear, qp.quadratic):
         digest.update(_rounded(each))
     for part in fields(parameters):

@@ -24,8 +24,8 @@ Find = Callable[[Array, Array, Array], Sides | None]
 
 THIN = 1e-5
 """Width, as a share of the parameters' range, below which a facet counts as none."""
-STEP = 2e-6
-"""How far beyond a facet is looked for the neighbour."""
+STEPS = (2e-6, 1e-5, 5e-5, 3e-4)
+"""How far beyond a facet is looked for the neighbour: farther where a tolerance hides it."""
 _FLAT = 1e-9
 """Slope of an inequality, relative to its terms, that parameters do not move."""
 _SAMPLES, _SEED = 2000, 1
@@ -75,10 +75,10 @@ def enumerate_regions(
     links: list[Link] = []
     while queue and len(found) <= most and search.programs < programs:
         _, i = heapq.heappop(queue)
-        for slots, key, point in search.facets(found[i]):
+        for slots, key, point, outward in search.facets(found[i]):
             if key in seen:
                 continue
-            there = search.across(key, point)
+            there = search.across(key, point, outward)
             if there is None:
                 lost += 1
                 continue
@@ -128,10 +128,15 @@ class _Search:
         sides = self._find(*self._parameters.vectors(v))
         return None if sides is None else self._holding(sides.tobytes(), v)
 
-    def across(self, key: bytes | None, v: Array) -> Region | None:
-        """Return the region at ``v``, which is that of ``key`` if it holds it."""
-        there = None if key is None else self._holding(key, v)
-        return there or self.at(v)
+    def across(self, key: bytes | None, v: Array, outward: Array) -> Region | None:
+        """Return the region behind a facet at ``v``, which is that of ``key`` if it holds."""
+        for step in STEPS:
+            beyond = v + step * outward
+            there = None if key is None else self._holding(key, beyond)
+            there = there or self.at(beyond)
+            if there is not None:
+                return there
+        return None
 
     def _holding(self, key: bytes, v: Array) -> Region | None:
         there = region(self._family, key)
@@ -140,11 +145,8 @@ class _Search:
         slope, level, _ = self._inequalities(there)
         return there if (slope @ v <= level + _HELD).all() else None
 
-    def facets(self, here: Region) -> list[tuple[list[int], bytes | None, Array]]:
-        """Return for each facet its changes of rows, the key that a single one gives, and a point.
-
-        The point lies just across.
-        """
+    def facets(self, here: Region) -> list[tuple[list[int], bytes | None, Array, Array]]:
+        """Return for each facet its changes of rows, the key if it is one, a point, the normal."""
         import daqp  # noqa: PLC0415 - only this backend needs it
 
         slope, level, slots = self._inequalities(here)
@@ -177,7 +179,7 @@ class _Search:
             self.programs += 1
             if flag > 0:
                 key = change(here.key, slots[i]) if same.size == 1 else None
-                result.append(([slots[j] for j in same], key, v + STEP * slope[i]))
+                result.append(([slots[j] for j in same], key, v, slope[i]))
         return result
 
     def _inequalities(self, here: Region) -> tuple[Array, Array, list[int]]:

@@ -116,7 +116,7 @@ class InterpretedWalk:
 
     def _first(self, here: Region, ends: Array, way: float, exact: float) -> tuple[float, int]:
         """Return how far the way leads in ``here``, and the change of a row there."""
-        failing = (ends[:, 1] < -exact).nonzero()[0]
+        failing = (~(ends[:, 1] >= -exact)).nonzero()[0]  # NaN fails
         begin, end = ends[failing, 0], ends[failing, 1]
         falling = begin > end
         reach = np.where(falling, begin, 0.0) / np.where(falling, begin - end, 1.0)

@@ -127,8 +127,8 @@ static int32_t search(law *w)
     for (int32_t i = 0; i < m; i++) {
         double row = 0.0;
         for (int32_t j = 0; j < n; j++) row += w->rows[i * n + j] * w->q[j];
-        w->end[i] = fmin(w->u[i] - row, w->far);
-        w->end[m + i] = fmin(row - w->l[i], w->far);
+        w->end[i] = w->u[i] - row > w->far ? w->far : w->u[i] - row; /* NaN stays */
+        w->end[m + i] = row - w->l[i] > w->far ? w->far : row - w->l[i];
     }
     if (!w->begun) /* anything with room on all sides lies in the first region */
         for (int32_t j = 0; j < 2 * m; j++) w->begin[j] = fmin(fabs(w->end[j]) + 1.0, w->far);
