@@ -1,4 +1,4 @@
-"""How large the explicit law becomes: ``python -m bench.explicit``, the table of docs/explicit.md."""
+"""How large the explicit law becomes, ``python -m bench.explicit``: a table of docs/explicit.md."""
 
 import argparse
 import sys

@@ -7,7 +7,17 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from qpmpc import BoundsConfig, ControllerConfig, ForceController, JointsConfig, ObserverConfig
+from qpmpc import (
+    BoundsConfig,
+    CommandBound,
+    ControllerConfig,
+    ExponentialReference,
+    ForceController,
+    MappedBound,
+    ObserverConfig,
+    Problem,
+    contact_model,
+)
 from qpmpc.backends.daqp import DaqpBackend
 from qpmpc.expectation import Ranges, expected
 from qpmpc.parametric import Parametric
@@ -19,7 +29,7 @@ class Listening(DaqpBackend):
     name: ClassVar[str] = "listening"
     takes_parameters: ClassVar[bool] = True
     smallest_part: ClassVar[int] = 1
-    made: ClassVar[list["Listening"]] = []
+    made: ClassVar[list[Listening]] = []
 
     def expect(self, parameters: Parametric) -> None:
         self.parameters = parameters
@@ -112,15 +122,15 @@ def test_nothing_is_expected_of_commands_without_bounds(listening):
     assert not listening.made
 
 
-def test_nothing_is_expected_of_rows_that_change(listening):
-    from plant.cell import Cell  # noqa: F401, PLC0415 - the joints of a real arm
-
-    pytest.importorskip("mujoco")
-    made = force_controller("daqp")
-    problem = made.general.problem
-    problem._mapped.append(None)  # as if a bound had a map
-    assert expected(problem, made.ranges, made.general.reference) is None
-    assert JointsConfig().speed == np.inf
+def test_nothing_is_expected_of_rows_that_change():
+    model = contact_model(2500, 20, 1e-3).model
+    mapped = MappedBound("joint", model.C, [[1.0]], -1.0, 1.0, 1.0)
+    weights = {"output_weight": 1.0, "increment_weight": 0.003}
+    ranges = Ranges(np.tile([-1.0, 1.0], (2, 1)), np.array([[-1.0, 1.0]]))
+    reference = ExponentialReference(4, 1, 1e-3, 0.02)
+    for bounds, known in (((), True), ((mapped,), False)):
+        problem = Problem(model, 4, bounds=[CommandBound(-5.0, 5.0), *bounds], **weights)
+        assert (expected(problem, ranges, reference) is not None) is known
 
 
 def test_infinite_ranges_are_none():

@@ -1,4 +1,4 @@
-"""Enumerations in the cache: read back as they were, made anew when damaged, never trusted blindly."""
+"""Enumerations in the cache: read back as they were, made anew when damaged."""
 
 from __future__ import annotations
 

