@@ -95,9 +95,11 @@ class ExplicitBackend(Backend):
         return self._active(answer, q, l, u) if answer.status is Status.SOLVED else None
 
     def _active(self, answer: RawSolution, q: Array, l: Array, u: Array) -> Sides:  # noqa: E741
-        rows = self._family.rows @ q - self._family.gram @ answer.y
+        y, level = answer.y, 1.0 + float(np.abs(q).max())
         self._sides.bound(l, u)
-        return self._sides.sides(answer.y, rows)
+        sides = self._sides.sides(y, self._family.rows @ q - self._family.gram @ y)
+        sides[(np.abs(sides) == 1) & (np.abs(y) <= _EXACT * level)] = 0  # it only touches
+        return sides
 
     def replace_rows(self, A: Array) -> None:
         """Take other rows, for which no region is known: DAQP's, until they stay."""

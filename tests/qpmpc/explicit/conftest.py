@@ -61,7 +61,9 @@ def case(qp: QuadraticProgram, parameters: Parametric) -> Case:
         if answer.status != "solved":
             return None
         search.bound(l, u)
-        return search.sides(answer.y, family.rows @ q - family.gram @ answer.y)
+        sides = search.sides(answer.y, family.rows @ q - family.gram @ answer.y)
+        sides[(np.abs(sides) == 1) & (np.abs(answer.y) <= 1e-9 * (1 + np.abs(q).max()))] = 0
+        return sides
 
     return Case(qp, parameters, family, find)
 
