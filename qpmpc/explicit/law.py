@@ -101,8 +101,8 @@ class Law:
 
         Args:
             regions: to begin with.
-            links: what lies behind changes of rows where that is not plain; indices are those of
-                ``regions``.
+            links: what lies behind changes of rows that give no region by themselves; indices are
+                those of ``regions``.
         """
         self.walk.clear()
         self._index: dict[bytes, int] = {}
@@ -116,8 +116,10 @@ class Law:
         for each in regions:
             known = self._index.get(each.key)
             place.append(self._store(each) if known is None else known)
+        keys = list(self._index)
         for at, slot, to in links:
-            self.walk.link((place[at], slot, place[to]))
+            if change(keys[place[at]], slot) not in self._index:
+                self.walk.link((place[at], slot, place[to]))
         self._full = len(self._index) + self._most
 
     def __len__(self) -> int:
