@@ -79,7 +79,7 @@ def test_finds_the_optimum_everywhere_in_the_range(request, walk, name):
         ended += tried == -law.walk.steps
         missed += -law.walk.steps < tried < 0
     assert missed <= 6  # where rows change places at one point
-    assert ended <= (60 if walk is InterpretedWalk else 0)  # a long way, and twelve steps
+    assert ended <= (60 if walk is InterpretedWalk else 2)  # a long way, and few steps
     assert law.walk.tally.missed == missed + ended
     assert law.walk.tally.walked > 100
 
