@@ -108,6 +108,7 @@ class ExplicitBackend(Backend):
         self._sides.replace_gram(self._family.gram)
         self._enumeration = Enumeration([], [], complete=False, lost=0, covered=0.0)
         self._law.restart()
+        # Rows that change in every cycle: what is learned from one would be gone at the next.
         self._missed, self._steady = None, False
 
     def forget(self) -> None:
