@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.instances import BoundRows, Instances
+from qpmpc import LinearModel
 from qpmpc.prediction import prediction
 from scenarios import ScenarioError
 
@@ -25,7 +26,8 @@ def write_task(instances: Instances, path: Path) -> None:
     bounds of every cycle, ``command``, ``rate``, ``output``, each ``(K, 2, N, width)``; ``moved``,
     where they are others than in the cycle before; and the condensed QP, ``P``, ``G``,
     ``row_linear``, ``row_quadratic``, ``rows (K, 2, m)``, with the maps that give its vectors from
-    ``p = (x, u(k-1))``: ``q = error_to_q (w - free_map p)``, ``l, u = rows - row_map p``.
+    ``p = (x, u(k-1))``: ``q = error_to_q (w - free_map p)``, ``l, u = rows - row_map p``. For who
+    does the whole step there are observer, measurements and previews of the setpoint, too.
 
     Raises:
         ScenarioError: the instances are of a form that peers do not know.
@@ -56,6 +58,7 @@ def write_task(instances: Instances, path: Path) -> None:
     np.savez(
         path,
         N=N,
+        period=instances.period,
         A=instances.A,
         B=instances.B,
         C=instances.C,
@@ -68,6 +71,12 @@ def write_task(instances: Instances, path: Path) -> None:
         state=instances.state,
         previous=instances.previous,
         reference=instances.reference,
+        measured=instances.measured,
+        gain=instances.gain,
+        alpha=instances.alpha,
+        measurement=instances.measurement,
+        preview=instances.preview,
+        predicted=instances.predicted,
         command=command,
         rate=rate,
         output=np.concatenate(
@@ -105,8 +114,6 @@ def prediction_maps(instances: Instances) -> dict[str, Array]:
 
 
 def _prediction(A: Array, B: Array, C: Array, N: int) -> tuple[Array, Array, Array]:
-    from qpmpc import LinearModel
-
     p = prediction(LinearModel(A, B, C, 1.0), N, N, C)
     return p.Psi, p.Upsilon, p.Theta
 

@@ -5,7 +5,8 @@
 An adapter is a file with ``VARIANTS``, a mapping from a name to ``(what it solves, set-up)``. Set-up
 takes the `Task` and returns a function ``step(state, previous, reference, moved)`` that does all
 that a user has to do in one cycle and returns the first increment, ``(n_u,)`` or a number; NaN where
-the package gives no answer. ``moved`` is None, or the `Bounds` that hold from this cycle on.
+the package gives no answer. ``moved`` is None, or the `Bounds` that hold from this cycle on. Cycles
+come in their order; ``step.begin()``, if there is one, is called before the first of each pass.
 
 Nothing here but numpy and the standard library: other Python versions run it too. Isolated mode
 (``-I``) keeps the working directory and PYTHONPATH out of the imports, so that ``import qpmpc`` is
@@ -76,7 +77,8 @@ class Task:
 
 
 def load(path):
-    """Import an adapter from its file."""
+    """Import an adapter from its file; what lies beside it may be imported, too."""
+    sys.path.append(str(path.parent))
     spec = importlib.util.spec_from_file_location("adapter", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules["adapter"] = module
@@ -92,7 +94,7 @@ def main():
     task = Task(task_file)
     module = load(adapter)
     name = sys.argv[4] if len(sys.argv) > 4 else next(iter(module.VARIANTS))
-    _, set_up = module.VARIANTS[name]
+    solves, set_up = module.VARIANTS[name]
     step = set_up(task)
     cycles = task.cycles
     inputs = [
@@ -104,10 +106,13 @@ def main():
         )
         for k in range(cycles)
     ]
+    begin_pass = getattr(step, "begin", lambda: None)
+    begin_pass()
     for cycle in inputs[:WARM_UP]:
         step(*cycle)
     packages = getattr(module, "PACKAGES", ())
     told = {
+        "solves": solves,
         "python": platform.python_version(),
         "versions": {p: importlib.metadata.version(p) for p in packages},
     }
@@ -121,6 +126,7 @@ def main():
             continue
         took = np.zeros(cycles, dtype=np.int64)
         answers = np.full((cycles, task.n_u), np.nan)
+        begin_pass()
         for k in range(cycles):
             state, previous, reference, moved = inputs[k]
             begin = perf_counter_ns()

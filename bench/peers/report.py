@@ -1,0 +1,134 @@
+"""What the measurement of peers leaves: one table, one sentence, one JSON."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bench.instances import Instances
+
+SCHEMA = "pulsempc.peers/1"
+SAME = 0.999
+"""Share of instances in which a package must agree to count as at equal accuracy."""
+
+
+def summary(rows: Sequence[dict[str, Any]], instances: Instances, passes: int) -> dict[str, Any]:
+    """Return what goes into the JSON."""
+    active = instances.active
+    return {
+        "format": SCHEMA,
+        "instances": {
+            "scenario": instances.scenario,
+            "axes": instances.axes,
+            "horizon": instances.horizon,
+            "count": instances.cycles,
+            "rows": int(active.shape[1]),
+            "active_share": float(active.any(axis=1).mean()),
+        },
+        "passes": passes,
+        "rows": list(rows),
+        "ratio": ratio(rows),
+        "machine": {
+            "cpu": _cpu(),
+            "cores": os.cpu_count(),
+            "system": platform.platform(),
+            "load": os.getloadavg()[0],
+        },
+    }
+
+
+def ratio(rows: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """Compare our fastest constrained row with the fastest peer at equal accuracy.
+
+    Equal accuracy: both agree with the certified increments in `SAME` of the instances. Each figure
+    is compared with the peer that is best at it. None where either side has no such row.
+    """
+    exact = [row for row in rows if row["us"] and row["agreed"] >= SAME]
+    ours = [row for row in exact if row["ours"]]
+    peers = [row for row in exact if not row["ours"]]
+    if not ours or not peers:
+        return None
+    result: dict[str, Any] = {}
+    for key, of, quantile in (
+        ("median", "us", "p50"), ("floor_median", "floor_us", "p50"),
+        ("p999", "us", "p999"), ("floor_p999", "floor_us", "p999"),
+    ):  # fmt: skip
+        mine = min(ours, key=lambda row: row[of][quantile])
+        best = min(peers, key=lambda row: row[of][quantile])
+        result[key] = {
+            "ours": _name(mine),
+            "peer": _name(best),
+            "factor": best[of][quantile] / mine[of][quantile],
+        }
+    return result
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the one table, ours first, then peers by what they take; the absent at the end."""
+    result = Table(
+        title="Peers on the same instances: one cycle [us], and the first increment",
+        box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True,
+    )  # fmt: skip
+    result.add_column("package")
+    for heading in (
+        "median", "p99.9", "floor\nmedian", "\np99.9", "answered", "same\noptimum", "error\np99.9",
+    ):  # fmt: skip
+        result.add_column(heading, justify="right", no_wrap=True, vertical="bottom")
+    result.add_column("what it solves")
+    for row in sorted(rows, key=_order):
+        if row["us"] is None:
+            continue
+        error = row["error"]
+        result.add_row(
+            _name(row),
+            *(f"{row[of][q]:.1f}" for of in ("us", "floor_us") for q in ("p50", "p999")),
+            f"{row['answered']:.2%}",
+            f"{row['agreed']:.2%}",
+            f"{error['p999']:.0e}" if error else "-",
+            row["solves"] or "",
+        )
+    return result
+
+
+def lines(rows: Sequence[dict[str, Any]], found: dict[str, Any] | None) -> list[str]:
+    """Return what is said below the table: what is absent and why, and the comparison."""
+    said = [f"no figures: {_name(row)}: {row['reason']}" for row in rows if row["us"] is None]
+    if found is None:
+        said.append(f"no comparison: it needs a row of ours and a peer that agree in {SAME:.1%}")
+    else:
+        for key, words in (
+            ("median", "median"), ("p999", "p99.9"),
+            ("floor_median", "median of the floor"), ("floor_p999", "p99.9 of the floor"),
+        ):  # fmt: skip
+            entry = found[key]
+            said.append(
+                f"{words}: {entry['ours']} is {entry['factor']:.1f} times as fast as "
+                f"{entry['peer']}, the fastest peer that agrees in {SAME:.1%} of the instances"
+            )
+    return said
+
+
+def _order(row: dict[str, Any]) -> tuple[bool, float]:
+    return not row["ours"], row["floor_us"]["p50"] if row["floor_us"] else float("inf")
+
+
+def _name(row: dict[str, Any]) -> str:
+    version = next(iter(row["versions"].values()), "") if not row["ours"] else ""
+    name = f"{row['peer']} {version}".strip()
+    return f"{name}, {row['variant']}" if row["variant"] else name
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or "unknown"
