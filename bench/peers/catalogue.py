@@ -44,6 +44,5 @@ PEERS = (
     peer("cvxpygen", "cvxpygen_c", "OSQP", "QOCO"),
     peer("cvxpy", "cvxpy_qp", "OSQP", "Clarabel"),
     peer("do-mpc", "do_mpc_ipopt", "IPOPT"),
-    peer("proxsuite", "proxsuite_qp", "dense"),
-    peer("lmpc", "lmpc_mpc", "DAQP"),
+    peer("lmpc", "lmpc_daqp", "DAQP"),
 )

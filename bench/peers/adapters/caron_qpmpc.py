@@ -94,7 +94,7 @@ def _step(task, soft):
         problem.update_goal_state(wished[-1])
         qp.update_cost_vector(problem)
         qp.update_constraint_vector(problem)
-        solution = qpsolvers.solve_problem(qp.problem, solver="daqp", initvals=None)
+        solution = qpsolvers.solve_problem(qp.problem, solver="daqp", primal_tol=1e-9)
         return solution.x[:n_u] if solution.found else np.nan
 
     return step
