@@ -36,12 +36,13 @@ def environment(folder: Path, requirements: Path, *, limit: float) -> Path:
         return python
     shutil.rmtree(folder, ignore_errors=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    venv.create(folder, with_pip=True, symlinks=True)
-    pip = [str(python), "-I", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    venv.create(folder, symlinks=True)
+    # Our own pip installs into it: the environment needs none.
+    pip = [sys.executable, "-I", "-m", "pip", "--python", str(python), "install", "--quiet"]
     for line in requirements.read_text().splitlines():
         requirement = line.partition("#")[0].strip()
         if requirement:
-            _run([*pip, "--prefer-binary", requirement], requirement, limit)
+            _run([*pip, "--disable-pip-version-check", requirement], requirement, limit)
     stamp.write_text(wanted)
     return python
 
