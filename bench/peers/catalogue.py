@@ -37,9 +37,7 @@ OURS = Peer(
 PEERS = (
     peer("qpmpc", "caron_qpmpc", "slack inputs, DAQP", "hard, DAQP"),
     peer("affine-mpc", "affine_condensed", "slack inputs", "hard"),
-    peer(
-        "acados", "acados_ocp", "full condensing, HPIPM", "full condensing, qpOASES", "HPIPM"
-    ),
+    peer("acados", "acados_ocp", "full condensing, HPIPM", "full condensing, qpOASES", "HPIPM"),
     peer("tinympc", "tiny_mpc", "ADMM"),
     peer("cvxpygen", "cvxpygen_c", "OSQP", "QOCO"),
     peer("cvxpy", "cvxpy_qp", "OSQP", "Clarabel"),

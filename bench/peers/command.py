@@ -16,7 +16,7 @@ from rich.console import Console
 from bench.instances import Instances, instances
 from bench.peers.catalogue import OURS, PEERS, Peer
 from bench.peers.measure import Effort, judge, measure
-from bench.peers.report import lines, ratio, summary, table
+from bench.peers.report import lines, summary, table
 from bench.peers.task import write_task
 from bench.stream import record
 from plant.errors import PlantError
@@ -55,7 +55,7 @@ def main(
     else:
         console = Console(width=None if sys.stdout.isatty() else 150)
         console.print(table(judged))
-        for line in lines(judged, ratio(judged)):
+        for line in lines(judged):
             console.print(line, markup=False, highlight=False)
     return 0
 
@@ -117,7 +117,7 @@ def _instances(path: Path | None, scenario: str, axes: str) -> Instances:
         return Instances.load(path)
     letters = json.dumps(axes.split(","))
     asked = load_scenario(scenario, settings=[f"axes={letters}"])
-    stream = record(asked, report=lambda stage, done, total: None, stop=lambda: False)
+    stream = record(asked, report=lambda *_: None, stop=lambda: False)
     assert stream is not None
     return instances(stream, asked.controller.horizon)
 

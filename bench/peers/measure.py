@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,32 +94,35 @@ def measure(
                         limit=effort.run,
                     )
                 )
-                try:
-                    row.told = session.ready()
-                except PeerFailure as failure:
-                    row.reason = str(failure)
-                else:
-                    sessions.append((row, session))
+                _unless_failed(row, partial(_set_up, row, session))
+                sessions.append((row, session))
         for i in range(effort.passes):
             for row, session in sessions:
-                if row.reason is None:
-                    tell(f"pass {i + 1} of {effort.passes}: {row.peer.name}, {row.variant}")
-                    try:
-                        session.make_pass()
-                    except PeerFailure as failure:
-                        row.reason = str(failure)
+                tell(f"pass {i + 1} of {effort.passes}: {row.peer.name}, {row.variant}")
+                _unless_failed(row, session.make_pass)
         for row, session in sessions:
-            if row.reason is None:
-                try:
-                    row.times, row.increments = session.finish()
-                except PeerFailure as failure:
-                    row.reason = str(failure)
+            _unless_failed(row, partial(_collect, row, session))
     return rows
 
 
-def interpreter(
-    peer: Peer, folder: Path, effort: Effort
-) -> tuple[list[str], dict[str, str]]:
+def _unless_failed(row: Row, act: Callable[[], object]) -> None:
+    """Do the next thing with a peer that has not failed, and note the reason where it does."""
+    if row.reason is None:
+        try:
+            act()
+        except PeerFailure as failure:
+            row.reason = str(failure)
+
+
+def _set_up(row: Row, session: Session) -> None:
+    row.told = session.ready()
+
+
+def _collect(row: Row, session: Session) -> None:
+    row.times, row.increments = session.finish()
+
+
+def interpreter(peer: Peer, folder: Path, effort: Effort) -> tuple[list[str], dict[str, str]]:
     """Return the command that starts the peer's Python, and its variables.
 
     A peer's own is isolated (``-I``): neither the working directory nor PYTHONPATH are searched,
@@ -192,5 +196,3 @@ def _figures(nanoseconds: NDArray[np.int64]) -> dict[str, float]:
 
 def _plain(name: str) -> str:
     return "".join(letter if letter.isalnum() else "_" for letter in name)
-
-

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import selectors
@@ -82,7 +83,7 @@ class Session:
         return float(self._answer("pass")["seconds"])
 
     def finish(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """End the process; return times ``(passes, K)`` [ns], first increments ``(passes, K, n_u)``.
+        """End the process; return times ``(passes, K)`` [ns] and increments ``(passes, K, n_u)``.
 
         Raises:
             PeerFailure: it left no result.
@@ -109,10 +110,8 @@ class Session:
             self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._errors):
             if stream is not None:
-                try:
+                with contextlib.suppress(BrokenPipeError):
                     stream.close()
-                except BrokenPipeError:
-                    pass
         self._selector.close()
 
     def _say(self, line: bytes) -> None:

@@ -6,6 +6,7 @@ The file holds no answers: what a peer returns is judged by who kept them.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +56,7 @@ def write_task(instances: Instances, path: Path) -> None:
     moved = np.ones(cycles, dtype=np.bool_)
     # Offsets are added back to what they were taken off: equal up to rounding is equal.
     moved[1:] = ~np.isclose(rows[1:], rows[:-1], rtol=1e-9, atol=1e-9).all(axis=(1, 2))
-    np.savez(
-        path,
+    arrays: dict[str, Any] = dict(
         N=N,
         period=instances.period,
         A=instances.A,
@@ -90,6 +90,7 @@ def write_task(instances: Instances, path: Path) -> None:
         rows=rows,
         **model,
     )
+    np.savez(path, **arrays)
 
 
 def prediction_maps(instances: Instances) -> dict[str, Array]:

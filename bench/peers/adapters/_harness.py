@@ -2,11 +2,12 @@
 
     python -I _harness.py ADAPTER.py TASK.npz RESULT.npz [VARIANT]
 
-An adapter is a file with ``VARIANTS``, a mapping from a name to ``(what it solves, set-up)``. Set-up
-takes the `Task` and returns a function ``step(state, previous, reference, moved)`` that does all
-that a user has to do in one cycle and returns the first increment, ``(n_u,)`` or a number; NaN where
-the package gives no answer. ``moved`` is None, or the `Bounds` that hold from this cycle on. Cycles
-come in their order; ``step.begin()``, if there is one, is called before the first of each pass.
+An adapter is a file with ``VARIANTS``, a mapping from a name to ``(what it solves, set-up)``, and
+``PACKAGES``, the distributions whose versions are told. Set-up takes the `Task` and returns a
+function ``step(state, previous, reference, moved)`` that does all that a user has to do in one
+cycle and returns the first increment, ``(n_u,)`` or a number; NaN where the package gives no
+answer. ``moved`` is None, or the `Bounds` that hold from this cycle on. Cycles come in their order;
+``step.begin()``, if there is one, is called before the first of each pass.
 
 Nothing here but numpy and the standard library: other Python versions run it too. Isolated mode
 (``-I``) keeps the working directory and PYTHONPATH out of the imports, so that ``import qpmpc`` is

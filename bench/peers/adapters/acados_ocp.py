@@ -1,6 +1,7 @@
 """acados: an OCP with soft bounds of its own, code generated and compiled, Cython interface, RTI.
 
-The state is turned so that every bound is one on a state; the input is the increment. A linear problem takes one iteration, which `SQP_RTI` makes.
+The state is turned so that every bound is one on a state; the input is the increment. A linear
+problem takes one iteration, which `SQP_RTI` makes.
 """
 
 import os

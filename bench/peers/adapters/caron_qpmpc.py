@@ -7,6 +7,7 @@ price, its quadratic one is the increments'.
 
 import numpy as np
 import qpsolvers
+
 from qpmpc import MPCQP, MPCProblem
 
 PACKAGES = ("qpmpc", "qpsolvers", "daqp")

@@ -1,7 +1,6 @@
-"""do-mpc: a discrete linear model, IPOPT through CasADi; reference and bounds vary over the horizon.
+"""do-mpc: a discrete linear model, IPOPT through CasADi, reference and bounds over the horizon.
 
-Increments are penalised by do-mpc's own rterm, soft bounds are its own; the state is ``(x, u(k-1))``
-where the delay asks for it: do-mpc is told the increment as input, which is the same problem.
+Soft bounds are do-mpc's own; the state is ``(x, u(k-1))`` and the input the increment.
 """
 
 import do_mpc

@@ -7,8 +7,17 @@ a control loop calls after the command has gone out, is on the clock as well.
 
 import numpy as np
 
-from qpmpc import CommandBound, Controller, ExponentialReference, KalmanObserver, LinearModel
-from qpmpc import OutputBound, Problem, RateBound, Solver
+from qpmpc import (
+    CommandBound,
+    Controller,
+    ExponentialReference,
+    KalmanObserver,
+    LinearModel,
+    OutputBound,
+    Problem,
+    RateBound,
+    Solver,
+)
 
 PACKAGES = ("pulsempc", "daqp")
 

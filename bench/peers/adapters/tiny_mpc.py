@@ -1,7 +1,7 @@
 """TinyMPC: ADMM on Riccati recursions, persistent.
 
-TinyMPC has hard bounds, and it closes the horizon with the cost of the infinite one, which cannot be
-switched off: what it solves has another optimum. That cost exists only for states that the input
+TinyMPC has hard bounds, and it closes the horizon with the cost of the infinite one, which cannot
+be switched off: what it solves has another optimum. That cost exists only for states that the input
 reaches. So the state is the part that increments add, zero at the start, and the free response is
 taken off reference and bounds in each cycle. (With all states, disturbances among them, its Riccati
 recursion ends in gains that drive every command into its bound.)
@@ -48,7 +48,8 @@ def _step(task):
     solver = tinympc.TinyMPC()
     solver.setup(
         A_, B_, np.diag(Q), np.diag(task.increment_weight), N + 1, rho=_RHO, verbose=False,
-        abs_pri_tol=_TOLERANCE, abs_dua_tol=_TOLERANCE, max_iter=_ITERATIONS, check_termination=_CHECK,
+        abs_pri_tol=_TOLERANCE, abs_dua_tol=_TOLERANCE, max_iter=_ITERATIONS,
+        check_termination=_CHECK,
     )  # fmt: skip
     state_low, state_high = np.full((2, m, N + 1), 0.0)
     low, high = np.full((size, N + 1), -_FAR), np.full((size, N + 1), _FAR)
