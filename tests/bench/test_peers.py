@@ -17,7 +17,7 @@ from bench.peers import command
 from bench.peers.catalogue import OURS, PEERS, Peer
 from bench.peers.environment import environment
 from bench.peers.failure import PeerFailure, last_words
-from bench.peers.measure import Effort, Row, bound_size, judge, measure
+from bench.peers.measure import Effort, Row, bound_size, interpreter, judge, measure
 from bench.peers.report import lines, ratio, summary
 from bench.peers.session import HARNESS, Session
 from bench.peers.task import write_task
@@ -346,6 +346,17 @@ def test_isolated_peers_do_not_see_our_packages(task, tmp_path, monkeypatch):
         pytest.raises(PeerFailure, match=r"found \[\]"),
     ):
         session.ready()
+
+
+def test_peers_start_isolated_and_ours_find_us(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "/somewhere")
+    monkeypatch.setattr("bench.peers.measure.environment", lambda *_, **__: tmp_path / "python")
+    python, variables = interpreter(PEERS[0], tmp_path, Effort())
+    assert python == [str(tmp_path / "python"), "-I"]
+    assert "PYTHONPATH" not in variables
+    python, variables = interpreter(OURS, tmp_path, Effort())
+    assert python[0] == sys.executable
+    assert (Path(variables["PYTHONPATH"]) / "qpmpc" / "force_control.py").is_file()
 
 
 def test_environment_that_cannot_be_made_says_why(tmp_path):
