@@ -26,9 +26,10 @@ def _step(task):
     settings = mpc.settings
     settings.n_horizon, settings.t_step, settings.store_full_solution = N, 1.0, False
     settings.nlpsol_opts = {
-        "ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-8,
+        "ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10,
         "ipopt.warm_start_init_point": "yes", "ipopt.hessian_constant": "yes",
         "ipopt.jac_c_constant": "yes", "ipopt.jac_d_constant": "yes", "ipopt.mu_init": 1e-4,
+        "ipopt.nlp_scaling_method": "none",  # the prices of slack would scale the tolerance away
     }  # fmt: skip
     # Stage k sees the state that its input leads to: what holds at step k + 1.
     ahead = A @ x + B @ du
