@@ -114,6 +114,23 @@ def test_long_horizons_too(horizon, contact_problem, instance):
 
 
 @pytest.mark.skipif(not has_compiler(), reason="no compiler")
+def test_the_longest_horizon_runs_without_a_matrix_of_its_size(contact_problem, instance):
+    rng = np.random.default_rng(512)
+    problem = contact_problem(rng, 3, 512, kind=StructuredProblem, compiled="on")
+    solver = problem.solver("daqp", Limits(), None)
+    active = 0
+    for _ in range(4):
+        now = instance(rng, problem)
+        problem.update(now.state, now.previous, now.reference)
+        solution = solver.solve(problem.q, problem.l, problem.u)
+        assert solution.status is Status.SOLVED
+        active += np.count_nonzero(solution.y)
+        assert problem.predict(solution.x).shape == (512, 3)
+    assert active > 10
+    assert "condensed" not in vars(problem)
+
+
+@pytest.mark.skipif(not has_compiler(), reason="no compiler")
 def test_compiled_and_interpreted_answers_are_the_same(contact_problem, instance):
     for seed in range(6):
         problems = [
