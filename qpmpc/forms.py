@@ -82,7 +82,10 @@ def pose(
         "control_horizon": control_horizon, "decision": decision,
     }  # fmt: skip
     if structured:
-        return StructuredProblem(model, horizon, **arguments), why
+        staged = StructuredProblem(model, horizon, **arguments)
+        if staged.compiled or form == "structured":
+            return staged, why
+        why = "the structured form could not be compiled"
     return Problem(model, horizon, **arguments, construction=backend.construction), why
 
 

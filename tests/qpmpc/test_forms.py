@@ -20,6 +20,7 @@ from qpmpc.backends import backend_class
 from qpmpc.forms import LONG
 from qpmpc.native.errors import CompilerUnavailableError
 from qpmpc.native.toolchain import compiler
+from qpmpc.structured.compiled import _library
 from qpmpc.structured.problem import StructuredProblem
 from qpmpc.structured.solver import StructuredSolver
 
@@ -70,6 +71,18 @@ def test_auto_stays_condensed_where_there_is_no_compiler(monkeypatch):
     made = controller(LONG)
     assert form(made) == "condensed"
     assert made.form_reason == "there is no compiler"
+
+
+@pytest.mark.skipif(not can_compile(), reason="no compiler")
+def test_auto_stays_condensed_where_nothing_can_be_compiled(monkeypatch, tmp_path):
+    monkeypatch.setattr("qpmpc.structured.compiled._library", _library.__wrapped__)
+    cache = tmp_path / "cache"
+    cache.write_text("no folder")
+    monkeypatch.setenv("PULSEMPC_CACHE", str(cache))
+    made = controller(LONG)
+    assert form(made) == "condensed"
+    assert "could not be compiled" in made.form_reason
+    assert form(controller(4, form="structured")) == "structured"
 
 
 def test_what_has_no_structured_form_stays_condensed_and_says_why():
