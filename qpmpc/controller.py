@@ -18,7 +18,7 @@ from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
 from qpmpc.reference import Reference
 from qpmpc.residuals import Residuals
-from qpmpc.solver import NO_LIMITS, Solver
+from qpmpc.solver import NO_LIMITS
 from qpmpc.status import Status
 
 _CLIP_TOLERANCE = 1e-6
@@ -114,13 +114,10 @@ class Controller:
             raise ModelError(f"deadline must be positive, got {deadline} s")
         self.problem, self.observer, self.reference = problem, observer, reference
         kind = backend_class(backend) if isinstance(backend, str) else backend
-        self.solver = Solver(
-            problem.qp,
+        self.solver = problem.solver(
             kind,
-            problem.rows.values(),
-            limits=limits,
-            pattern=problem.pattern,
-            smallest_part=smallest_part,
+            limits,
+            smallest_part,
             parameters=expected(problem, ranges, reference)
             if ranges is not None and kind.takes_parameters
             else None,
@@ -129,8 +126,8 @@ class Controller:
         self.deadline = np.inf if deadline is None else deadline
         """Time from the start of a step by which its answer has to be there [s]; infinite: none."""
         n_u, n_y = problem.model.n_inputs, problem.model.n_outputs
-        self._n_u, self._shape = n_u, (problem.horizon, n_y)
-        self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
+        self._n_u = n_u
+        self._C = np.array(problem.model.C)
         self._measured, self._previewed = (observer.gain.shape[1],), (problem.horizon + 1, n_y)
         self._output = np.zeros(n_y)
         self._prepared = True
@@ -207,9 +204,8 @@ class Controller:
             status, command = self._clip(status, problem.command(decision, previous))
         else:
             source, command, decision = self._fallback.decide(previous, measured=measured)
-            violation = self._excess(decision)
-        predicted = self._Theta @ decision
-        predicted += problem.free
+            violation = problem.excess(decision)
+        predicted = problem.predict(decision)
         self.command[:] = command
         self._prepared = False
         now = perf_counter()
@@ -218,7 +214,7 @@ class Controller:
             source,
             command,
             decision.reshape(-1, self._n_u),
-            predicted.reshape(self._shape),
+            predicted,
             violation,
             problem.rows,
             solution.residuals,
@@ -241,12 +237,6 @@ class Controller:
                 status = Status.CLIPPED
             command = clipped
         return status, command
-
-    def _excess(self, decision: Array) -> Array:
-        """Return how far a plan that no solver checked is beyond each row."""
-        problem = self.problem
-        rows = problem.A @ decision
-        return np.maximum(np.maximum(rows - problem.u, problem.l - rows), 0.0)
 
     def _complain(self, measurement: Array, preview: Array) -> None:
         if measurement.shape != self._measured:

@@ -1,7 +1,7 @@
 """One experiment: the run under control, and the same motion on a tool that is held still."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
@@ -58,6 +58,8 @@ class Experiment:
     """What came of a setpoint that was sent, see `scenarios.live.Counts`; None without one."""
     backend_facts: Sequence[Mapping[str, Fact]] = ()
     """What the backend told of itself, one entry for each problem that it solved a cycle."""
+    form: Mapping[str, str] = field(default_factory=dict)
+    """Which form the controller's problem had, and why: ``name`` and ``reason``."""
 
 
 def assemble(scenario: Scenario, report: Report) -> Assembly:
@@ -209,6 +211,10 @@ def run_experiment(
         },
         made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
         made.controller.general.solver.facts(),
+        form={
+            "name": made.controller.general.problem.form,
+            "reason": made.controller.form_reason,
+        },
     )
 
 

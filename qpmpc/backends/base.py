@@ -69,6 +69,9 @@ class Backend(Protocol):
     up to this size, the call costs less than two."""
     takes_parameters: ClassVar[bool] = False
     """Whether `expect` does anything with what is known of the vectors to come."""
+    structured: ClassVar[bool] = False
+    """Whether the structured form, an exact active-set method as well, may stand in for it where
+    the horizon is long; see ``docs/long-horizons.md``."""
     construction: ClassVar[Construction] = NUMPY
     """Who builds the matrices of the force controller's problem for this backend."""
 

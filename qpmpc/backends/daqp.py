@@ -51,6 +51,7 @@ class DaqpBackend(Backend):
     summary: ClassVar[str] = "DAQP, dual active set, exact in few microseconds; all bounds"
     warm_starts: ClassVar[bool] = True
     replaces_rows: ClassVar[bool] = True
+    structured: ClassVar[bool] = True
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 
     smallest_part: ClassVar[int] = 64  # 24 variables cost one call what 8 do: it is all overhead
