@@ -45,6 +45,12 @@ class Stream:
         return len(self.force)
 
     @property
+    def bounds_joints(self) -> bool:
+        """Whether joints are bounded, so that the rows are others in every cycle."""
+        joints = self.scenario.controller.bounds.joints
+        return bool(np.isfinite([joints.speed, joints.torque]).any())
+
+    @property
     def axes(self) -> str:
         """The controlled axes as the command line writes them, "x,y,z"."""
         return ",".join(self.scenario.axes)
@@ -98,13 +104,15 @@ class Replay:
 
         Args:
             stream: what it will meet.
-            horizon: N; a control horizon of the scenario is kept where it fits.
+            horizon: N; all else is as the scenario says.
             backend: a registered name or a backend class.
 
         Raises:
             QpmpcError: the backend refuses the problem.
         """
-        scenario = at_horizon(stream.scenario, horizon)
+        config = replace(stream.scenario.controller, horizon=horizon)
+        scenario = replace(stream.scenario, controller=config)
+        self.horizon = horizon
         period = scenario.cell.period
         self._schedule = Schedule(scenario)
         self._stream, moving = stream, self._schedule.moving
@@ -171,17 +179,6 @@ class Replay:
             observer.correct(measurement)
             observer.predict(self.previous[k + 1])
         return states
-
-
-def at_horizon(scenario: Scenario, horizon: int) -> Scenario:
-    """Return the scenario with another horizon; its control horizon shrinks where it must."""
-    moves = scenario.controller.control_horizon
-    controller = replace(
-        scenario.controller,
-        horizon=horizon,
-        control_horizon=None if moves is None else min(moves, horizon),
-    )
-    return replace(scenario, controller=controller)
 
 
 class _Recorder:
