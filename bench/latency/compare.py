@@ -8,6 +8,9 @@ from typing import Any, Literal
 
 from bench.latency.result import Result, Row
 
+DRIFT = 0.03
+"""Relative difference below which two measurements are not told apart: as much lies between two
+processes that run the same code, by where things come to lie in memory."""
 Verdict = Literal["faster", "slower", "not told apart"]
 Key = tuple[str, str, int, str, str]
 _SAME = ("cpu", "cores", "kernel", "preemption", "governor")
@@ -34,7 +37,7 @@ class Pair:
     to its median."""
     verdict: Verdict
     """Told apart only where every pass of one result was faster than every pass of the other, and
-    the least times moved in the same direction."""
+    the least times differ in the same direction by more than `DRIFT`."""
     error: tuple[float | None, float | None]
     misses: tuple[int, int]
 
@@ -98,9 +101,9 @@ def _spread(row: Row) -> float:
 
 
 def _verdict(first: list[float], second: list[float], floor: float | None) -> Verdict:
-    if floor is not None and max(second) < min(first) and floor < 1.0:
+    if floor is not None and max(second) < min(first) and floor < 1.0 / (1.0 + DRIFT):
         return "faster"
-    if floor is not None and min(second) > max(first) and floor > 1.0:
+    if floor is not None and min(second) > max(first) and floor > 1.0 + DRIFT:
         return "slower"
     return "not told apart"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bench.latency.compare import Key, LatencyComparison
+from bench.latency.compare import DRIFT, LatencyComparison
 from bench.latency.table import number
 
 
@@ -17,12 +17,12 @@ def comparison_table(comparison: LatencyComparison) -> Table:
         padding=(0, 1),
         collapse_padding=True,
     )
-    table.add_column("backend", vertical="bottom")
+    table.add_column("backend", vertical="bottom", min_width=8, overflow="fold")
     for heading in (
-        "N", "axes", "mode", "p50 [us]\nA", "\nB", "ratio of\np50", "\np99.9", "\nfloor",
-        "noise\n+-", "",
+        "N", "axes", "mode", "A: p50\nus", "B: p50\nus", "B / A\np50", "\np99.9", "\nfloor",
+        "noise", "",
     ):  # fmt: skip
-        table.add_column(heading.replace("[us]", "us"), justify="right", no_wrap=True)
+        table.add_column(heading, justify="right", no_wrap=True)
     for pair in comparison.pairs:
         name = pair.backend if pair.path == "interpreted" else f"{pair.backend} ({pair.path})"
         table.add_row(
@@ -33,7 +33,7 @@ def comparison_table(comparison: LatencyComparison) -> Table:
             *(number(value) for value in pair.p50_us),
             *(_ratio(r) for r in (pair.ratio_p50, pair.ratio_p999, pair.ratio_floor_p50)),
             f"{pair.noise:.0%}",
-            pair.verdict,
+            "" if pair.verdict == "not told apart" else pair.verdict,
         )
     return table
 
@@ -42,20 +42,20 @@ def comparison_lines(comparison: LatencyComparison) -> list[str]:
     """What is not in the table: what else differs, and rows without a partner."""
     lines = [
         "noise: how far the passes of one measurement differ. 'faster' and 'slower' are said only "
-        "where all passes, and the least times (floor), agree on it."
+        "where every pass and the least times (floor) agree on it, and from "
+        f"{DRIFT:.0%} on."
     ]
     lines += [
         f"not the same: {name}: {mine} in A, {theirs} in B"
         for name, (mine, theirs) in comparison.differences.items()
     ]
     for which, keys in (("A", comparison.only_first), ("B", comparison.only_second)):
-        lines += [f"only in {which}: {_called(key)}" for key in keys]
+        groups: dict[str, list[str]] = {}
+        for backend, path, horizon, axes, mode in keys:
+            name = backend if path == "interpreted" else f"{backend} ({path})"
+            groups.setdefault(f"N = {horizon}, {axes}, {mode}", []).append(name)
+        lines += [f"only in {which}: {group}: {', '.join(n)}" for group, n in groups.items()]
     return lines
-
-
-def _called(key: Key) -> str:
-    backend, path, horizon, axes, mode = key
-    return f"{backend} ({path}), N = {horizon}, {axes}, {mode}"
 
 
 def _ratio(value: float | None) -> str:

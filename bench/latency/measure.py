@@ -113,7 +113,15 @@ def measure(
         for entry in running:
             start, end = entry.windows[mode]
             entry.times[mode] = Times(settings.passes, end - start)
-        if not _passes(running, mode, stream, settings.passes, clock, told, stop):
+        if not _passes(
+            running,
+            mode,
+            passes=settings.passes,
+            period=round(1e9 * stream.scenario.cell.period),
+            clock=clock,
+            told=told,
+            stop=stop,
+        ):
             return None
     rows = [
         _row(entry, mode, stream, horizon, standard)
@@ -210,8 +218,9 @@ def _keeping_up(entries: list[Entry], stream: Stream) -> tuple[list[Entry], list
 def _passes(
     entries: list[Entry],
     mode: Mode,
-    stream: Stream,
+    *,
     passes: int,
+    period: int,
     clock: Clock,
     told: _Told,
     stop: Stop,
@@ -220,7 +229,6 @@ def _passes(
 
     The order is turned by one from pass to pass, so that nobody always comes after the same one.
     """
-    period = round(1e9 * stream.scenario.cell.period)
     for p in range(passes):
         turn = p % max(len(entries), 1)
         for entry in entries[turn:] + entries[:turn]:

@@ -31,7 +31,7 @@ def latency_tables(result: Result) -> list[Table]:
 
 def _table(title: str, rows: Iterable[Row]) -> Table:
     table = Table(title=escape(title), box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
-    table.add_column("backend", vertical="bottom")
+    table.add_column("backend", vertical="bottom", min_width=10, overflow="fold")
     for heading in (
         "p50", "p99", "p99.9", "max", "floor\np99.9", "solve\np50", "x closed\nform",
         "misses", "error\nm/s^2",
