@@ -33,7 +33,7 @@ def _table(title: str, rows: Iterable[Row]) -> Table:
     table = Table(title=escape(title), box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
     table.add_column("backend", vertical="bottom", min_width=10, overflow="fold")
     for heading in (
-        "p50", "p99", "p99.9", "max", "floor\np99.9", "solve\np50", "x closed\nform",
+        "p50", "p99.9", "max", "floor\np99.9", "solve\np50", "x closed\nform",
         "misses", "error\nm/s^2",
     ):  # fmt: skip
         table.add_column(heading, justify="right", no_wrap=True)
@@ -41,7 +41,7 @@ def _table(title: str, rows: Iterable[Row]) -> Table:
         step = row.step_us
         table.add_row(
             called(row) + ("*" if row.cut else ""),
-            *(number(value) for value in (step.p50, step.p99, step.p999, step.max)),
+            *(number(value) for value in (step.p50, step.p999, step.max)),
             number(step.floor_p999),
             number(row.solve_us.p50),
             "-" if row.ratio_to_analytic is None else f"{row.ratio_to_analytic:.2f}",
