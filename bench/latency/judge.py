@@ -112,20 +112,21 @@ def judge(lane: Lane, standard: Standard, start: int, end: int, stop: Stop) -> V
             return None
         if replay.changes:
             replay.change(k)
-        found = lane.judge(lane.step(replay.measurements[k], replay.previews[k]), k)
+        step = lane.ask(replay.measurements[k], replay.previews[k])
+        decision = step.decision.reshape(-1)
         lane.follow(k)
         lane.prepare()
-        status[found.status] += 1
-        source[found.source] += 1
+        status[str(step.status)] += 1
+        source[str(step.source)] += 1
         if np.isnan(standard.increments[k]).any():
             without += 1
             continue
-        increment = found.command - replay.previous[k]
+        previous = replay.previous[k]
+        increment = problem.command(decision, previous) - previous
         worst = max(worst, float(np.abs(increment - standard.increments[k]).max()))
-        if found.decision is not None:
-            rows = problem.A @ found.decision
-            excess = np.maximum(np.maximum(rows - problem.u, problem.l - rows), 0.0)
-            excess -= standard.excess[k]
-            for name, where in problem.rows.items():
-                beyond[name] = max(beyond[name], float(excess[where].max()))
+        rows = problem.A @ decision
+        excess = np.maximum(np.maximum(rows - problem.u, problem.l - rows), 0.0)
+        excess -= standard.excess[k]
+        for name, where in problem.rows.items():
+            beyond[name] = max(beyond[name], float(excess[where].max()))
     return Verdict(worst if worst >= 0 else None, without, beyond, dict(status), dict(source))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -36,7 +35,7 @@ class Lane(Protocol):
 
     @property
     def step(self) -> Callable[[Array, Array], object]:
-        """From measurement and preview to what `stages` and `judge` read."""
+        """From measurement and preview to what `stages` reads."""
         ...
 
     def begin(self, k: int) -> None:
@@ -51,21 +50,9 @@ class Lane(Protocol):
         """Return the times of update, build and solve within a step [s], where it `tells` them."""
         ...
 
-    def judge(self, answer: object, k: int) -> Judged:
-        """Return what the step of cycle ``k`` decided, as plain data."""
+    def ask(self, measurement: Array, preview: Array) -> Step:
+        """Decide as `step` does, and tell everything; not timed."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """What a step decided."""
-
-    command: Array
-    """Before it is clipped to its bounds where a solve gave it, ``(n_u,)`` [m/s^2]."""
-    decision: Array | None
-    """The plan, ``(n_d,)``; None where the path does not tell it."""
-    status: str
-    source: str
 
 
 class Interpreted:
@@ -94,12 +81,9 @@ class Interpreted:
         assert isinstance(answer, Step)
         return answer.times.update, answer.times.build, answer.times.solve
 
-    def judge(self, answer: object, k: int) -> Judged:
-        """Return plan, status and source of a step."""
-        assert isinstance(answer, Step)
-        decision = answer.decision.reshape(-1)
-        command = self._general.problem.command(decision, self.replay.previous[k])
-        return Judged(command, decision, str(answer.status), str(answer.source))
+    def ask(self, measurement: Array, preview: Array) -> Step:
+        """Decide as `step` does."""
+        return self._general.step(measurement, preview)
 
 
 class Times:
