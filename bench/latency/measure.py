@@ -230,26 +230,21 @@ def _passes(
 
     The order is turned by one from pass to pass, so that nobody always comes after the same one.
     """
-    for p in range(passes):
-        turn = p % max(len(entries), 1)
-        for entry in entries[turn:] + entries[:turn]:
-            start, end = entry.windows[mode]
-            warm = min(end, start + _WARM_UP[mode])
-            pacer = Pacer(clock, period, 0) if mode == "paced" else None
-            with quiet_memory():
+    with quiet_memory():
+        for p in range(passes):
+            turn = p % max(len(entries), 1)
+            for entry in entries[turn:] + entries[:turn]:
+                start, end = entry.windows[mode]
+                pacer = Pacer(clock, period, 0) if mode == "paced" else None
+                warm = min(end, start + _WARM_UP[mode])
+                if not drive(entry.lane, start, warm, clock=clock, pacer=pacer, stop=stop):
+                    return False
+                into = (entry.times[mode], p)
                 if not drive(
-                    entry.lane, start, warm, clock=clock, pacer=pacer, stop=stop
-                ) or not drive(
-                    entry.lane,
-                    start,
-                    end,
-                    clock=clock,
-                    pacer=pacer,
-                    into=(entry.times[mode], p),
-                    stop=stop,
+                    entry.lane, start, end, clock=clock, pacer=pacer, into=into, stop=stop
                 ):
                     return False
-            told()
+                told()
     return True
 
 

@@ -189,8 +189,8 @@ def read_result(path: Path) -> Result:
     except UnicodeDecodeError:
         raise ScenarioError(f"{path}: not a text file in UTF-8") from None
     try:
-        found = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+        found = json.loads(text, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{path}: not JSON: {error}") from None
     told = found.get("schema") if isinstance(found, Mapping) else None
     if told != SCHEMA:
@@ -203,3 +203,7 @@ def read_result(path: Path) -> Result:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise ScenarioError(f"{path}: {place}: {first['msg']}") from None
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no number")

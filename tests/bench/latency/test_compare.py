@@ -161,7 +161,7 @@ BAD = {
     "a list": (["list.json", "a.json"], ["list.json", "bench latency"]),
     "nested too deep": (["deep.json", "a.json"], ["deep.json", "not JSON"]),
     "of another verb": (["a.json", "other.json"], ["other.json", "bench latency"]),
-    "not a number": (["a.json", "nan.json"], ["nan.json", "error"]),
+    "not a number": (["a.json", "nan.json"], ["nan.json", "NaN"]),
     "cut short": (["a.json", "cut.json"], ["cut.json", "not JSON"]),
     "a picture": (["a.json", "picture.json"], ["picture.json", "UTF-8"]),
     "a folder": (["a.json", "folder.json"], ["folder.json"]),
