@@ -17,9 +17,10 @@ from bench.latency.statistics import timer_cost
 from bench.machine import machine
 from bench.realtime import SystemClock
 from bench.stream import Stream, record
-from scenarios import Scenario, dump_scenario
+from scenarios import Scenario
 from scenarios.experiment import Report
 from scenarios.loop import Stop, quiet_memory
+from scenarios.results import write_config
 
 
 def run_session(
@@ -41,7 +42,7 @@ def run_session(
         settings: see there.
         left_out: what is known from the start to have no row.
         clock, report, stop: as elsewhere; after a stop the result holds the groups that are whole.
-        folder: gets ``config.toml``, ``instances-*.npz``, ``times-*.npz`` and ``latency-*.png``.
+        folder: gets ``config.toml`` and what it names, ``instances-*.npz``, ``times-*.npz`` and ``latency-*.png``.
 
     Raises:
         ScenarioError, QpmpcError, PlantError: what is asked for cannot be had.
@@ -50,7 +51,7 @@ def run_session(
         facts = machine()
     least, usual = timer_cost(clock.now)
     timer = Timer("monotonic_ns", least, usual, clock.sleeps_by)
-    (folder / "config.toml").write_text(dump_scenario(scenarios[0]), encoding="utf-8")
+    write_config(scenarios[0], folder)
     groups: list[Group] = []
     for scenario in scenarios:
         stream = record(scenario, report=report, stop=stop)

@@ -65,6 +65,8 @@ class Latency:
     """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
     beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
     """Times of heart beats that drive the generated motion: column t [s]."""
+    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
     seed: Annotated[int | None, _arg(metavar="N")] = None
     """Seed of motion and sensor noise."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()

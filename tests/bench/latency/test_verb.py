@@ -153,6 +153,17 @@ def test_rows_that_change_give_no_file_of_instances(leave, tmp_path):
     assert "joint_speed" in row.violation
 
 
+def test_the_folder_alone_repeats_the_measurement(leave, tmp_path):
+    beats = tmp_path / "beats.csv"
+    beats.write_text("t\n" + "\n".join(f"{0.8 * i:.1f}" for i in range(8)) + "\n")
+    options = ("--backends", "daqp", "--paced", "off", "--passes", "1", "--json")
+    assert leave("bench", "latency", "--beats", "beats.csv", *SHORT, *options, "--out", "m")[0] == 0
+    beats.unlink()
+    assert leave("bench", "latency", "m/config.toml", *options, "--out", "again")[0] == 0
+    first, second = (Instances.load(tmp_path / f / "instances-xyz-N8.npz") for f in ("m", "again"))
+    np.testing.assert_array_equal(first.measurement, second.measurement)
+
+
 BAD = {
     "unknown scenario": (["latncy"], ["did you mean 'latency'"]),
     "missing file": (["none.toml"], ["none.toml", "No such file"]),
