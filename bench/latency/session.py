@@ -42,7 +42,8 @@ def run_session(
         settings: see there.
         left_out: what is known from the start to have no row.
         clock, report, stop: as elsewhere; after a stop the result holds the groups that are whole.
-        folder: gets ``config.toml`` and what it names, ``instances-*.npz``, ``times-*.npz`` and ``latency-*.png``.
+        folder: gets ``config.toml`` and what it names, ``instances-*.npz``, ``times-*.npz`` and
+            ``latency-*.png``.
 
     Raises:
         ScenarioError, QpmpcError, PlantError: what is asked for cannot be had.
