@@ -223,7 +223,7 @@ def instances(stream: Stream, horizon: int) -> Instances:
         A=np.array(problem.model.A),
         B=np.array(problem.model.B),
         C=np.array(problem.model.C),
-        measured=general.observer.C,
+        measured=general.observer.measured,
         gain=general.observer.gain,
         output_weight=np.full(problem.model.n_outputs, config.force_weight),
         increment_weight=np.full(problem.model.n_inputs, config.increment_weight),

@@ -78,16 +78,15 @@ class KalmanObserver:
             ObserverError: no steady-state observer exists.
         """
         n = model.n_states
-        self.A, self.B = np.array(model.A), np.array(model.B)
-        """The model's matrices, ``(n, n)`` and ``(n, n_inputs)``."""
-        self.C = np.array(matrix("measured", measured, columns=n))
+        self._A, self._B = np.array(model.A), np.array(model.B)
+        self.measured = np.array(matrix("measured", measured, columns=n))
         """Rows that are measured, ``(n_measured, n)``."""
-        m = self.C.shape[0]
+        m = self.measured.shape[0]
         W = matrix("process_noise", process_noise, n, n)
         V = matrix("measurement_noise", measurement_noise, m, m)
         if np.linalg.eigvalsh(V).min() <= 0:
             raise ObserverError("measurement_noise must be positive definite")
-        self.gain = kalman_gain(self.A, self.C, W, V)
+        self.gain = kalman_gain(self._A, self.measured, W, V)
         self.state = np.zeros(n)
         self._innovation = np.zeros(m)
         self._work, self._work2 = np.zeros(n), np.zeros(n)
@@ -98,14 +97,14 @@ class KalmanObserver:
 
     def correct(self, measurement: Array) -> Array:
         """Blend in a measurement ``(n_measured,)``; return the estimate x(k|k), in place."""
-        innovation = np.dot(self.C, self.state, out=self._innovation)
+        innovation = np.dot(self.measured, self.state, out=self._innovation)
         np.subtract(measurement, innovation, out=innovation)
         self.state += np.dot(self.gain, innovation, out=self._work)
         return self.state
 
     def predict(self, command: Array) -> Array:
         """Advance by one cycle under the applied command ``(n_inputs,)``; return x(k+1|k)."""
-        np.dot(self.A, self.state, out=self._work)
-        self._work += np.dot(self.B, command, out=self._work2)
+        np.dot(self._A, self.state, out=self._work)
+        self._work += np.dot(self._B, command, out=self._work2)
         self.state[:] = self._work
         return self.state
