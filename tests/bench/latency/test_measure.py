@@ -11,6 +11,7 @@ from bench.latency.judge import Standard
 from bench.realtime import SystemClock
 from bench.reference import Reference
 from bench.stream import Replay
+from qpmpc.scaling import Scaling
 from qpmpc.backends import _registry
 
 US, MS = 1_000, 1_000_000
@@ -218,7 +219,8 @@ def test_an_exact_backend_has_no_error_and_the_closed_form_has(make_stream, run)
 
 def test_an_error_is_told_in_its_size(make_stream, run, off):
     stream = make_stream(100)
-    T = Replay(stream, 8, "daqp").controller.general.solver._scaling.T
+    problem = Replay(stream, 8, "daqp").controller.general.problem
+    T = Scaling(problem.qp, list(problem.rows.values())).T
     expected = abs(T.sum(axis=1)[0]) * off.by
     row = rows(run(stream, "off", paced=False), "off")["hot"]
     assert expected > 1e-8
