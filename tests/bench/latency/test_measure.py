@@ -11,8 +11,8 @@ from bench.latency.judge import Standard
 from bench.realtime import SystemClock
 from bench.reference import Reference
 from bench.stream import Replay
-from qpmpc.scaling import Scaling
 from qpmpc.backends import _registry
+from qpmpc.scaling import Scaling
 
 US, MS = 1_000, 1_000_000
 CYCLES, EVERY = 1500, 500
