@@ -88,5 +88,5 @@ def _finish(panel: Axes, times: Sequence[NDArray[np.int64]], period_us: float) -
         xytext=(0, 3), textcoords="offset points", ha="right", fontsize=8,
     )  # fmt: skip
     panel.set_xlabel("share of the cycles that take no longer")
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:,.10g}"))
     panel.grid(alpha=0.3)
