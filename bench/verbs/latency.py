@@ -93,7 +93,7 @@ class Latency:
         try:
             with (
                 result_folder(folder) as partial,
-                Reporter(quiet=self.json) as reporter,
+                Reporter(quiet=self.json, own_thread=False) as reporter,
                 ctrl_c() as interrupt,
             ):
                 result = run_session(
