@@ -12,7 +12,7 @@ from plant.cell import Cell
 from plant.interface import JointSpace, Measurement, Truth
 from qpmpc import ForceController, Step
 from qpmpc.backends import Backend
-from scenarios import Scenario, Schedule, Setpoint, control_loop
+from scenarios import Scenario, ScenarioError, Schedule, Setpoint, control_loop
 from scenarios.experiment import Report, assemble
 from scenarios.loop import Stop
 
@@ -66,6 +66,11 @@ def record(scenario: Scenario, *, report: Report, stop: Stop) -> Stream | None:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had, or the
         simulation failed.
     """
+    if scenario.setpoint.live is not None:
+        raise ScenarioError(
+            "setpoint.live: cycles are recorded as fast as they go, nobody can send a setpoint to "
+            "them; give it by setpoint.file"
+        )
     made = assemble(scenario, report)
     recorder = _Recorder(made.cell, keep_joints=made.controller.bounds_joints)
     commands = np.zeros((scenario.cycles, len(scenario.axes)))
@@ -126,6 +131,8 @@ class Replay:
         )
         setpoint = Setpoint(scenario.setpoint, scenario.axes, stream.cycles, horizon, period)
         self.previews = [setpoint.preview(k) for k in range(stream.cycles)]
+        if not scenario.setpoint.preview:  # one array for all cycles then
+            self.previews = [setpoint.preview(k).copy() for k in range(stream.cycles)]
         """Setpoint s(k) ... s(k+N) of each cycle, ``(N + 1, n_axes)`` [N]."""
         self.measurements = np.array(
             [

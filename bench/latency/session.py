@@ -52,12 +52,13 @@ def run_session(
         facts = machine()
     least, usual = timer_cost(clock.now)
     timer = Timer("monotonic_ns", least, usual, clock.sleeps_by)
-    write_config(scenarios[0], folder)
     groups: list[Group] = []
     for scenario in scenarios:
         stream = record(scenario, report=report, stop=stop)
         if stream is None:
             break
+        if not groups:
+            write_config(scenarios[0], folder)
         for horizon in horizons:
             group = measure(stream, horizon, settings, clock=clock, report=report, stop=stop)
             if group is None:

@@ -7,7 +7,7 @@ import pytest
 
 from bench.latency.judge import Standard
 from bench.stream import Replay, record
-from scenarios import load_scenario
+from scenarios import ScenarioError, load_scenario
 
 MOVES = (
     "setpoint.steps=[]",
@@ -20,6 +20,9 @@ CASES = {
     "joints": (
         "latency",
         ("controller.bounds.joints.speed=0.002", "controller.bounds.joints.torque=0.3"),
+    ),
+    "nothing known ahead": (
+        "latency", ("setpoint.preview=false", "setpoint.steps=[{time=0.1, z=-11.0}]"),
     ),
     "absolute": ("latency", ('controller.decision="absolute"',)),
     "force alone": ("paper", ('controller.observer.disturbance="constant"',
@@ -83,6 +86,11 @@ def test_the_preview_looks_as_far_as_the_horizon(stream):
     assert ahead[80] == 1
     assert ahead[90] == 11
     assert ahead[149] == 21
+
+
+def test_a_setpoint_that_is_sent_cannot_be_recorded():
+    with pytest.raises(ScenarioError, match="nobody can send"):
+        recorded("latency", ("setpoint.steps=[]", "setpoint.live={port=47801}"))
 
 
 def test_a_stopped_recording_is_none():
