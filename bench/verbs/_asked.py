@@ -1,6 +1,5 @@
 """What verbs that run an experiment have in common."""
 
-from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol
@@ -29,27 +28,17 @@ class Asked(Protocol):
     def set(self) -> tuple[str, ...]: ...
 
 
-def load(asked: Asked, *, also: Sequence[str] = (), **top: object) -> Scenario:
-    """Return the scenario that is asked for.
-
-    Args:
-        asked: see there.
-        also: settings like those of ``--set``, applied last.
-        top: values of top-level keys that the verb has options for; None: as the file says.
-    """
-    keys = {"duration": asked.duration, "seed": asked.seed} | {
-        key: value for key, value in top.items() if value is not None
-    }
+def load(asked: Asked, **top: str | None) -> Scenario:
+    keys = {"duration": asked.duration, "seed": asked.seed, **top}
     return load_scenario(
         asked.scenario,
         top={key: value for key, value in keys.items() if value is not None},
         motion=asked.motion,
         beats=asked.beats,
         setpoint=asked.setpoint,
-        settings=(*asked.set, *also),
+        settings=asked.set,
     )
 
 
 def now() -> str:
-    """Return the time of day as part of a name."""
     return f"{datetime.now():%Y%m%d-%H%M%S}"

@@ -1,8 +1,9 @@
 """``pulsempc bench latency``: what a cycle costs under each backend."""
 
+import json
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -164,20 +165,15 @@ class Latency:
 
     def _scenarios(self) -> list[Scenario]:
         """Return the scenario with each set of axes."""
-        duration = None
+        length: tuple[str, ...] = ()
         if self.cycles is not None:
-            duration = self.cycles * load(self).cell.period
-        sets: list[list[str] | None] = [_list("--axes", text) for text in self.axes]
-        found = []
-        for axes in sets or [None]:
-            try:
-                found.append(load(self, duration=duration, axes=axes))
-            except ScenarioKeyError as error:
-                if axes is not None and error.key.partition(".")[0] == "axes":
-                    raise ScenarioError(f"--axes {','.join(axes)}: {error.reason}") from None
-                raise
-        twice = [scenario.axes for scenario in found]
-        if len(set(twice)) < len(twice):
+            length = (f"duration={self.cycles * load(self).cell.period!r}",)
+            self._with(f"--cycles {self.cycles}, in seconds", "duration", *length)
+        found = [
+            self._with(f"--axes {','.join(axes)}", "axes", *length, f"axes={json.dumps(axes)}")
+            for axes in (_list("--axes", text) for text in self.axes)
+        ] or [self._with("", "", *length)]
+        if len({scenario.axes for scenario in found}) < len(found):
             raise ScenarioError("--axes: names a set of axes more than once")
         return found
 
@@ -189,14 +185,19 @@ class Latency:
         for text in _list("--horizon", self.horizon):
             if not text.isascii() or not text.isdecimal():
                 raise ScenarioError(f"--horizon: '{text}' is not a whole number")
-            try:
-                loaded = load(self, also=(f"controller.horizon={int(text)}",))
-            except ScenarioKeyError as error:
-                if error.key == "controller.horizon":
-                    raise ScenarioError(f"--horizon {text}: {error.reason}") from None
-                raise
+            key = "controller.horizon"
+            loaded = self._with(f"--horizon {text}", key, f"{key}={int(text)}")
             found.append(loaded.controller.horizon)
         return found
+
+    def _with(self, option: str, key: str, *settings: str) -> Scenario:
+        """Load with more settings; what is wrong with ``key`` is the option's fault."""
+        try:
+            return load(replace(self, set=(*self.set, *settings)))
+        except ScenarioKeyError as error:
+            if error.key == key or error.key.startswith(f"{key}."):
+                raise ScenarioError(f"{option}: {error.reason}") from None
+            raise
 
 
 def _list(option: str, text: str) -> list[str]:

@@ -190,7 +190,7 @@ BAD = {
         ["--axes", "z", "--set", "controller.bounds.tangential.limit=3.0"], ["tangential"],
     ),
     "no cycles": (["--cycles", "0"], ["--cycles", "at least 1"]),
-    "too many cycles": (["--cycles", "99999999"], ["duration"]),
+    "too many cycles": (["--cycles", "99999999"], ["--cycles", "seconds", "3600"]),
     "no passes": (["--passes", "0"], ["--passes", "at least 1"]),
     "no paced cycles": (["--paced-cycles", "0"], ["--paced-cycles"]),
     "budget 0": (["--budget", "0"], ["--budget", "positive"]),
