@@ -2,38 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.latency.result import Percentiles
-
-_SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "p9999": 0.9999}
+from bench.percentiles import tail
 
 
 def percentiles(times: NDArray[np.int64]) -> Percentiles:
     """Return the percentiles [us] of times ``(passes, instances)`` [ns]."""
-    ordered = np.sort(times, axis=None)
-    floor = np.sort(times.min(axis=0))
+    whole, floor = tail(times.ravel() / 1e3), tail(times.min(axis=0) / 1e3)
     return Percentiles(
-        **{name: at_share(ordered, share) for name, share in _SHARES.items()},
-        max=float(ordered[-1]) / 1e3,
-        floor_p50=at_share(floor, 0.5),
-        floor_p999=at_share(floor, 0.999),
-        floor_max=float(floor[-1]) / 1e3,
+        **whole, floor_p50=floor["p50"], floor_p999=floor["p999"], floor_max=floor["max"]
     )
-
-
-def at_share(ordered: NDArray[np.int64], share: float) -> float:
-    """Return the smallest time [us] that at least ``share`` of the sorted times do not exceed.
-
-    One that was measured, never a mean of two: of 500 times with one stall p99.8 is a usual one
-    and p99.9 the stall.
-    """
-    rank = math.ceil(share * ordered.size - 1e-9)
-    return float(ordered[max(rank, 1) - 1]) / 1e3
 
 
 def timer_cost(now: Callable[[], int], readings: int = 20_000) -> tuple[float, float]:
