@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test test-hostile lint format setup clean help
+.PHONY: demo test test-hostile test-peers bench-peers lint format setup clean help
 
 help:  ## list the verbs
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -18,6 +18,12 @@ test: $(VENV)/.installed-dev  ## set up and run the test suite
 
 test-hostile: $(VENV)/.installed-dev  ## 10,000 hostile command sequences against the protection
 	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py
+
+test-peers: $(VENV)/.installed-dev  ## run a real peer end to end, from PyPI
+	$(BIN)/python -m pytest -m peers tests/bench/test_peers.py
+
+bench-peers: $(VENV)/.installed  ## other MPC packages on the same instances, each in its own environment
+	$(BIN)/python -m bench.peers
 
 lint: $(VENV)/.installed-dev  ## style, types, layers
 	$(BIN)/ruff check .
@@ -32,7 +38,7 @@ format: $(VENV)/.installed-dev  ## put the code into its form
 setup: $(VENV)/.installed-dev  ## set up for development
 
 clean:  ## remove the environment and caches, keep results
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .peers .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

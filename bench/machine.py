@@ -87,10 +87,11 @@ def measures(reasons: Mapping[str, str] | None = None) -> dict[str, Facts]:
 
 
 def usage() -> Facts:
-    """Return the calling thread's page faults and context switches so far.
+    """Return the calling thread's page faults and context switches so far, and stolen time [s].
 
     The difference of two is what disturbed a stretch of a run: a fault is memory that was not
-    there, an involuntary switch is somebody else who had the core.
+    there, an involuntary switch is somebody else who had the core, stolen time is what a
+    hypervisor gave to other machines, summed over all cores.
     """
     spent = resource.getrusage(getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF))
     return {
@@ -98,6 +99,7 @@ def usage() -> Facts:
         "major_faults": spent.ru_majflt,
         "voluntary_switches": spent.ru_nvcsw,
         "involuntary_switches": spent.ru_nivcsw,
+        "stolen_s": _stolen(),
     }
 
 
@@ -155,6 +157,14 @@ def _idle_latency() -> tuple[bool, Any]:
 
 
 # ---- facts
+
+
+def _stolen() -> float:
+    try:
+        with Path("/proc/stat").open(encoding="utf-8") as stat:
+            return int(stat.readline().split()[8]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError):
+        return 0.0
 
 
 def _preemption() -> str:

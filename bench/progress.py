@@ -13,9 +13,15 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 class Reporter:
     """Shows how far a run is: a bar on a terminal, a line every tenth elsewhere."""
 
-    def __init__(self, quiet: bool) -> None:
-        """Prepare; ``quiet`` shows nothing."""
-        self._quiet = quiet
+    def __init__(self, quiet: bool, *, own_thread: bool = True) -> None:
+        """Prepare.
+
+        Args:
+            quiet: whether to show nothing.
+            own_thread: whether the bar is kept moving by a thread of its own, which takes the
+                interpreter from whoever measures time; without, it moves when it is told.
+        """
+        self._quiet, self._own_thread = quiet, own_thread
         self._console = Console(stderr=True)
         self._bar = Progress(
             TextColumn("{task.description:>14}"),
@@ -24,6 +30,7 @@ class Reporter:
             TimeRemainingColumn(),
             console=self._console,
             disable=quiet or not self._console.is_terminal,
+            auto_refresh=own_thread,
         )
         self._tasks: dict[str, TaskID] = {}
         self._shown: dict[str, int] = {}
@@ -42,7 +49,11 @@ class Reporter:
         if self._console.is_terminal:
             if stage not in self._tasks:
                 self._tasks[stage] = self._bar.add_task(stage, total=total)
-            self._bar.update(self._tasks[stage], completed=done if total > 1 else 1)
+            self._bar.update(
+                self._tasks[stage],
+                completed=done if total > 1 else 1,
+                refresh=not self._own_thread,
+            )
             return
         tenth = 10 * done // total
         if tenth != self._shown.get(stage):

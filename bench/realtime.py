@@ -113,7 +113,7 @@ class Pacer:
             spin: how long before a release the sleep is to end; the rest is spent reading the
                 clock, as a timer's wake-up is not exact [ns].
         """
-        self.period, self._clock, self._spin = period, clock, spin
+        self.period, self.clock, self._spin = period, clock, spin
         self._next = clock.now()
         self.timer = 0
         """How much later than asked the last sleep ended [ns]; -1: there was no time to sleep."""
@@ -124,12 +124,16 @@ class Pacer:
         Returns:
             its instant [ns].
         """
-        self._next = self._clock.now() + self.period + lead
+        self._next = self.clock.now() + self.period + lead
         return self._next
+
+    def put_off(self, by: int) -> None:
+        """Let all releases to come be later by ``by`` [ns]; whoever does this has to tell it."""
+        self._next += by
 
     def wait(self) -> tuple[int, int]:
         """Wait for the next release; return its intended instant and how late it is now [ns]."""
-        clock, release = self._clock, self._next
+        clock, release = self.clock, self._next
         self._next = release + self.period
         asleep_until = release - self._spin
         now = clock.now()

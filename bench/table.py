@@ -64,6 +64,8 @@ def timing_lines(summary: Summary) -> list[str]:
     fallbacks = {name: n for name, n in summary["source"].items() if name != "solution"}
     if any(fallbacks.values()):
         lines.append(f"cycles without a usable answer, command from: {_counts(fallbacks)}")
+    if summary["live_setpoint"] is not None:
+        lines.append(f"live setpoint: {_counts(summary['live_setpoint']) or 'nothing came'}")
     beyond = {name: v for name, v in summary["violations"].items() if v["count"]}
     if beyond:
         units = {"force": "N", "velocity": "m/s", "command": "m/s^2"}

@@ -20,7 +20,7 @@ from plant.memory import memory
 from plant.mjcf import SERVO_STIFFNESS, cell_mjcf
 from plant.playback import Programme, programme
 from plant.protection import Guard, close_brakes
-from plant.sensors import SENSORS, ForceSensor
+from plant.sensors import ForceSensor
 from plant.stepping import CompiledStepper, PythonStepper, Stepper
 from plant.viper import HEART, TOOL, VIPER_S650, FloatArray
 
@@ -98,7 +98,7 @@ class Cell:
             lead=(flaws.delay + 0.5) * config.period + flaws.torque_lag,
             force_axes=np.array([_AXES.index(axis) for axis in axes]),
         )
-        self._sensor = ForceSensor(SENSORS[config.sensor.model], np.random.SeedSequence([seed, 1]))
+        self._sensor = ForceSensor(config.sensor, config.period, np.random.SeedSequence([seed, 1]))
         self._limit = VIPER_S650.torque_limit.si
         data = self.data
         block = memory(self.model, data)
@@ -150,13 +150,15 @@ class Cell:
         self._contact.force(self._force)
         if not np.dot(self._force, self._force) < _ABSURD**2:  # NaN is not, either
             raise UnstableSimulationError(self._cycle * self.period)
-        self._read = self._sensor.read(self._force)
+        reading = self._sensor.read(self._force)
+        if not np.count_nonzero(np.isnan(reading)):
+            self._read = reading  # the inner loop goes on with the last one there was
         self._tissue[:] = self._surface
         self._touching = self._contact.touching
         self._peak_read = float(self._peak)
         return Measurement(
             self._cycle * self.period,
-            self._read.copy(),
+            reading.copy(),
             inner.position.copy(),
             inner.twist[:3].copy(),
         )

@@ -30,6 +30,16 @@ class SensorConfig:
 
     model: SensorModel = "nano17"
     """``ideal`` (no noise, no quantisation), ``nano17`` or ``mini45`` (ATI)."""
+    bias_drift: Annotated[float, Ge(0), Le(10)] = 0.0
+    """Random walk of each axis' zero: standard deviation of its change in one second [N]."""
+    spike_rate: Annotated[float, Ge(0), Le(200)] = 0.0
+    """Mean number of single wrong readings on each axis in a second [1/s]."""
+    spike_size: Annotated[float, Gt(0), Le(1e3)] = 5.0
+    """How far such a reading is off, to either side [N]."""
+    dropout_rate: Annotated[float, Ge(0), Le(200)] = 0.0
+    """Mean number of times in a second that the sensor stops telling anything [1/s]."""
+    dropout_time: Annotated[float, Gt(0), Le(10)] = 0.02
+    """How long it is silent then: the reading is NaN on every axis [s]."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,11 @@
-"""Force sensors: noise, then quantisation."""
+"""Force sensors: drift, noise, quantisation; and what goes wrong with them now and then."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from plant.config import SensorModel
+from plant.config import SensorConfig, SensorModel
 from plant.viper import FloatArray, Quantity
 
 _BLOCK = 1024
@@ -43,26 +44,65 @@ SENSORS: dict[SensorModel, SensorSpec] = {
 
 
 class ForceSensor:
-    """Three axes of force; the same seed gives the same noise."""
+    """Three axes of force; the same seed gives the same noise and the same faults.
 
-    def __init__(self, spec: SensorSpec, seed: np.random.SeedSequence) -> None:
-        """Prepare a stream of noise of its own."""
+    Each fault draws from a stream of its own: switching one on leaves the noise as it was.
+    """
+
+    def __init__(self, config: SensorConfig, period: float, seed: np.random.SeedSequence) -> None:
+        """Prepare for one reading every ``period`` [s]."""
+        spec = SENSORS[config.model]
         self._resolution = float(spec.resolution.si)
         self._noise = float(spec.noise.si)
+        self._drift = config.bias_drift * math.sqrt(period)
+        self._spike_chance, self._spike = config.spike_rate * period, config.spike_size
+        self._dropout_chance = config.dropout_rate * period
+        self._dropout = max(1, round(config.dropout_time / period))
+        drift, spikes, dropouts = seed.spawn(3)
         self._generator = np.random.default_rng(seed)
+        self._drifts, self._spikes, self._dropouts = (
+            np.random.default_rng(child) for child in (drift, spikes, dropouts)
+        )
+        self._bias = np.zeros(3)
+        self._silent = 0
+        """Readings for which the sensor stays silent."""
+        self._gone = np.zeros(_BLOCK, dtype=np.bool_)
         self._block = np.empty((_BLOCK, 3))
         self._next = _BLOCK
 
     def read(self, force: FloatArray) -> FloatArray:
-        """Return the reading of a true force ``(3,)`` [N], a new array."""
+        """Return the reading of a true force ``(3,)`` [N], a new array; NaN where it is silent."""
         if self._next == _BLOCK:
-            self._generator.standard_normal(out=self._block)
-            self._block *= self._noise
-            self._next = 0
+            self._draw()
         reading: FloatArray = force + self._block[self._next]
+        gone = self._gone[self._next]
         self._next += 1
-        if self._resolution:
+        if gone:
+            reading.fill(np.nan)
+        elif self._resolution:
             reading /= self._resolution
             np.rint(reading, out=reading)
             reading *= self._resolution
         return reading
+
+    def _draw(self) -> None:
+        """Draw what the next readings add to the force, and when there are none."""
+        block = self._block
+        self._generator.standard_normal(out=block)
+        block *= self._noise
+        if self._drift:
+            walk = self._bias + np.cumsum(
+                self._drift * self._drifts.standard_normal(block.shape), axis=0
+            )
+            block += walk
+            self._bias = walk[-1]
+        if self._spike_chance:
+            struck = self._spikes.random(block.shape) < self._spike_chance
+            block += struck * np.where(self._spikes.random(block.shape) < 0.5, -1, 1) * self._spike
+        if self._dropout_chance:
+            for i, begins in enumerate(self._dropouts.random(_BLOCK) < self._dropout_chance):
+                if begins:
+                    self._silent = self._dropout
+                self._gone[i] = self._silent > 0
+                self._silent = max(0, self._silent - 1)
+        self._next = 0

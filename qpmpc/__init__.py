@@ -50,11 +50,13 @@ from qpmpc.errors import (
     ShapeError,
     UnknownNameError,
 )
+from qpmpc.expectation import Ranges
 from qpmpc.fallback import Source
 from qpmpc.force_control import ForceController
 from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, from_state_space, stack, zero_order_hold
 from qpmpc.observer import KalmanObserver
+from qpmpc.parametric import Parametric
 from qpmpc.penalties import ordered
 from qpmpc.prediction import Prediction, absolute_prediction, prediction
 from qpmpc.problem import Problem
@@ -93,11 +95,13 @@ __all__ = [
     "ObserverConfig",
     "ObserverError",
     "OutputBound",
+    "Parametric",
     "PerAxis",
     "Prediction",
     "Problem",
     "QpmpcError",
     "QuadraticProgram",
+    "Ranges",
     "RateBound",
     "RawSolution",
     "Residuals",

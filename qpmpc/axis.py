@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from qpmpc.config import Disturbance, ModelConfig, ObserverConfig
 from qpmpc.construction import NUMPY, Construction
 from qpmpc.errors import UnknownNameError
 from qpmpc.models import LinearModel
+
+Quantity = Literal["force", "velocity", "acceleration", "jerk"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +31,8 @@ class AxisModel:
     """Covariance of the states' unmodelled change per cycle, ``(n, n)``."""
     measurement_noise: Array
     """Covariance of what is measured, ``(n_measured, n_measured)``."""
+    quantities: tuple[Quantity, ...]
+    """What each state is, ``n`` names."""
 
 
 def axis_model(
@@ -60,6 +64,9 @@ def axis_model(
         separate_tool=from_force and tool_velocity,
     )
     augmented = with_delay(contact.model, model.delay)
+    quantities: list[Quantity] = ["force", "velocity"]
+    quantities += ["velocity"] * (from_force and tool_velocity)
+    quantities += ["acceleration"] * ((model.lag > 0) + model.delay)
     n = augmented.n_states
     noise = np.zeros(n)
     noise[0] = _UNMODELLED_FORCE
@@ -68,13 +75,16 @@ def axis_model(
     elif kind == "constant":
         augmented = with_disturbance(augmented, contact.load, constant())
         noise = np.append(noise, observer.input_drift)
+        quantities += ["acceleration"]
     elif kind == "ramp":
         augmented = with_disturbance(augmented, contact.load, ramp(period))
         noise = np.append(noise, [0.0, observer.input_slope_drift])
+        quantities += ["acceleration", "jerk"]
     else:
         augmented = with_disturbance(augmented, contact.tissue, parabola(period))
         augmented = with_disturbance(augmented, contact.load, constant())
         noise = np.append(noise, [0.0, 0.0, observer.tissue_jerk_drift, observer.input_drift])
+        quantities += ["velocity", "acceleration", "jerk", "acceleration"]
     force, velocity = augmented.C, _widened(contact.velocity, augmented.n_states)
     uses_velocity = tool_velocity or not from_force
     if from_force and tool_velocity:
@@ -86,6 +96,7 @@ def axis_model(
         np.vstack([force, velocity][: 1 + uses_velocity]),
         np.diag(noise**2),
         np.diag(np.square(sensors)),
+        tuple(quantities),
     )
 
 

@@ -135,6 +135,10 @@ class SolverConfig:
     deadline: Annotated[float, Gt(0)] | None = None
     """Time from the start of a step by which its answer has to be there [s]; one that is later is
     not applied, the last plan goes on. None if not given: an answer is applied however late."""
+    form: Literal["auto", "condensed", "structured"] = "auto"
+    """``condensed``: one matrix over the horizon; ``structured``: stage by stage, at a cost that
+    grows linearly with the horizon; ``auto``: whichever is faster, where the backend leaves the
+    choice."""
     smallest_part: Annotated[int, Ge(1)] | None = None
     """Variables that make a component of the QP worth a call of its own, smaller ones are packed
     together; the backend's own figure if not given."""

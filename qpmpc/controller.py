@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, all_finite
-from qpmpc.backends import Backend, Limits
+from qpmpc.backends import Backend, Limits, backend_class
 from qpmpc.errors import ModelError, ShapeError
+from qpmpc.expectation import Ranges, expected
 from qpmpc.fallback import Fallback, Source
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
+from qpmpc.reference import Reference
 from qpmpc.residuals import Residuals
-from qpmpc.solver import NO_LIMITS, Solver
+from qpmpc.solver import NO_LIMITS
 from qpmpc.status import Status
-
-Reference = Callable[[Array, Array], Array]
-"""From preview ``(N + 1, n_outputs)`` and output ``(n_outputs,)`` to w ``(N, n_outputs)``."""
 
 _CLIP_TOLERANCE = 1e-6
 """Share of the room between the bounds that a solver's tolerance may cost without a word."""
@@ -93,6 +92,7 @@ class Controller:
         *,
         smallest_part: int | None = None,
         deadline: float | None = None,
+        ranges: Ranges | None = None,
     ) -> None:
         """Join the parts; the backend is set up and primed here.
 
@@ -104,6 +104,7 @@ class Controller:
             limits: when the backend has to stop, in each cycle.
             smallest_part: see `Solver`.
             deadline: of every step, from its start [s]; none if not given. See `step`.
+            ranges: what state and setpoint are expected to be, for backends that prepare for it.
 
         Raises:
             ModelError: the deadline is not positive.
@@ -112,20 +113,21 @@ class Controller:
         if deadline is not None and not deadline > 0:
             raise ModelError(f"deadline must be positive, got {deadline} s")
         self.problem, self.observer, self.reference = problem, observer, reference
-        self.solver = Solver(
-            problem.qp,
-            backend,
-            problem.rows.values(),
-            limits=limits,
-            pattern=problem.pattern,
-            smallest_part=smallest_part,
+        kind = backend_class(backend) if isinstance(backend, str) else backend
+        self.solver = problem.solver(
+            kind,
+            limits,
+            smallest_part,
+            parameters=expected(problem, ranges, reference)
+            if ranges is not None and kind.takes_parameters
+            else None,
         )
         self._fallback = Fallback(problem)
         self.deadline = np.inf if deadline is None else deadline
         """Time from the start of a step by which its answer has to be there [s]; infinite: none."""
         n_u, n_y = problem.model.n_inputs, problem.model.n_outputs
-        self._n_u, self._shape = n_u, (problem.horizon, n_y)
-        self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
+        self._n_u = n_u
+        self._C = np.array(problem.model.C)
         self._measured, self._previewed = (observer.gain.shape[1],), (problem.horizon + 1, n_y)
         self._output = np.zeros(n_y)
         self._prepared = True
@@ -144,6 +146,7 @@ class Controller:
         """Advance the observer under the command just applied; needs no measurement."""
         if not self._prepared:
             self.observer.predict(self.command)
+            self.solver.prepare()
             self._prepared = True
 
     def step(self, measurement: Array, preview: Array, *, deadline: float | None = None) -> Step:
@@ -201,9 +204,8 @@ class Controller:
             status, command = self._clip(status, problem.command(decision, previous))
         else:
             source, command, decision = self._fallback.decide(previous, measured=measured)
-            violation = self._excess(decision)
-        predicted = self._Theta @ decision
-        predicted += problem.free
+            violation = problem.excess(decision)
+        predicted = problem.predict(decision)
         self.command[:] = command
         self._prepared = False
         now = perf_counter()
@@ -212,7 +214,7 @@ class Controller:
             source,
             command,
             decision.reshape(-1, self._n_u),
-            predicted.reshape(self._shape),
+            predicted,
             violation,
             problem.rows,
             solution.residuals,
@@ -235,12 +237,6 @@ class Controller:
                 status = Status.CLIPPED
             command = clipped
         return status, command
-
-    def _excess(self, decision: Array) -> Array:
-        """Return how far a plan that no solver checked is beyond each row."""
-        problem = self.problem
-        rows = problem.A @ decision
-        return np.maximum(np.maximum(rows - problem.u, problem.l - rows), 0.0)
 
     def _complain(self, measurement: Array, preview: Array) -> None:
         if measurement.shape != self._measured:

@@ -9,18 +9,19 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from qpmpc.arrays import Array
-from qpmpc.axis import axis_model
+from qpmpc.axis import Quantity, axis_model
 from qpmpc.backends import Backend, Limits, backend_class
 from qpmpc.bounds import Bound, CommandBound, MappedBound, OutputBound, RateBound
 from qpmpc.cone import force_cone
 from qpmpc.config import Band, ControllerConfig, PerAxis, SoftBoundName
 from qpmpc.controller import Controller, Step
 from qpmpc.errors import BoundsError, UnknownNameError
+from qpmpc.expectation import Ranges
+from qpmpc.forms import pose
 from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, stack
 from qpmpc.observer import KalmanObserver
 from qpmpc.penalties import SoftBound, ordered
-from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference
 
 Axis = Literal["x", "y", "z"]
@@ -89,15 +90,18 @@ class ForceController:
             decision=config.decision,
             construction=kind.construction,
         )
-        problem = Problem(
+        limits = Limits(config.solver.max_iterations, config.solver.time_limit)
+        problem, self.form_reason = pose(
             model,
             config.horizon,
+            backend=kind,
+            form=config.solver.form,
+            limits=limits,
             control_horizon=config.control_horizon,
             decision=config.decision,
             output_weight=config.force_weight,
             increment_weight=config.increment_weight,
             bounds=[*self._hard_bounds(moving), *soft],
-            construction=kind.construction,
         )
         observer = KalmanObserver(
             model,
@@ -106,10 +110,12 @@ class ForceController:
             block_diag(*[axis.measurement_noise] * count),
         )
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
-        limits = Limits(config.solver.max_iterations, config.solver.time_limit)
+        self.ranges = self._ranges(config, axis.quantities, period)
+        """What states and setpoint are expected to be; see `qpmpc.expectation`."""
         self.general = Controller(
             problem, observer, reference, kind, limits,
             smallest_part=config.solver.smallest_part, deadline=config.solver.deadline,
+            ranges=self.ranges,
         )  # fmt: skip
         self._measurement = np.zeros((count, axis.measured.shape[0]))
 
@@ -223,6 +229,30 @@ class ForceController:
                 -limit, limit, 1.0, direct=True,
             )  # fmt: skip
         return found
+
+    def _ranges(
+        self, config: ControllerConfig, quantities: Sequence[Quantity], period: float
+    ) -> Ranges:
+        """Return where states and setpoint are expected: within the bounds, as far as there are.
+
+        Force without a bound: up to the largest error that the configuration knows. Velocity
+        without one: what takes that error away in the reference time. Acceleration: that of the
+        command, also of the tissue and of the error at the input, which the command has to make up
+        for. Jerk: what takes the acceleration there in the reference time.
+        """
+        pace = max(config.reference_time, config.horizon * period)
+        error = np.array([[-1.0], [1.0]]) * self._bounds.largest_error
+        ranges: dict[str, Array] = {}
+        for name, quantity, far in (
+            ("force", "force", error),
+            ("velocity", "velocity", error / (config.model.stiffness * pace)),
+            ("command", "acceleration", np.array([[-np.inf], [np.inf]])),
+        ):
+            band = self._band(name, getattr(self._bounds, name))
+            ranges[quantity] = np.where(np.isfinite(band), band, far)
+        ranges["jerk"] = ranges["acceleration"] / pace
+        each = np.stack([ranges[quantity] for quantity in quantities])  # (n, 2, n_axes)
+        return Ranges(each.transpose(2, 0, 1).reshape(-1, 2), ranges["force"].T)
 
     def _band(self, name: str, band: Band) -> Array:
         """Return lower and upper bound of each axis, ``(2, n_axes)``."""

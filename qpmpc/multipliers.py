@@ -43,6 +43,7 @@ class MultiplierSearch:
         """
         self._linear = linear
         self._firm = quadratic <= 0  # beyond its bound such a row pulls with its penalty, no more
+        self._curved = not self._firm.all()
         self._half = np.zeros(linear.size)
         np.divide(0.5, quadratic, out=self._half, where=quadratic > 0)
         self._exact, self._met = exact, met
@@ -70,6 +71,7 @@ class MultiplierSearch:
         """Take the bounds, ``(m,)`` each."""
         self._l, self._u = l, u
         self._level = l == u
+        self._levelled = np.count_nonzero(self._level) > 0
         self._low = np.where(self._level, -self._linear, 0.0)
 
     def sides(self, y: Array, v: Array) -> Sides:
@@ -80,15 +82,16 @@ class MultiplierSearch:
         side -= under > 0
         side += over > self._linear
         side -= under > self._linear
-        side[self._level & (side == 0)] = 1
+        if self._levelled:
+            side[self._level & (side == 0)] = 1
         return side
 
     def wrong(self, side: Sides, y: Array, v: Array) -> Array:
         """Return by how much each row is on the wrong side, ``(m,)``; not positive: the right."""
         size, pull = np.abs(side), y * np.sign(side)
         wrong = np.maximum(v - self._u, self._l - v)
-        at = (size == 1).nonzero()[0]
-        wrong[at] = np.maximum(self._low[at] - pull[at], pull[at] - self._linear[at])
+        excess = np.maximum(self._low - pull, pull - self._linear)
+        np.copyto(wrong, excess, where=size == 1)
         beyond = (size == 2).nonzero()[0]
         if beyond.size:
             inside = (self._bound(side, beyond) - v[beyond]) * np.sign(side[beyond])
@@ -102,9 +105,14 @@ class MultiplierSearch:
         With them by how much they miss it, and the compliance of each in itself.
         """
         size = np.abs(side)
-        held = ((size == 1) | (size == 2) & ~self._firm).nonzero()[0]
+        at = size == 1
+        if self._curved:
+            at |= (size == 2) & ~self._firm
+        held = at.nonzero()[0]
         lead = v[held] - self._bound(side, held)
         give = np.zeros(held.size)
+        if not self._curved:
+            return held, lead, give
         soft = (size[held] == 2).nonzero()[0]
         if soft.size:
             rows = held[soft]

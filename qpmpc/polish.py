@@ -51,8 +51,6 @@ class Polish:
         tolerances = (_EXACT, _MET) if self.definite else _INEXACT
         self._search = MultiplierSearch(self._linear, np.array(qp.quadratic), *tolerances)
         self._patience = 3 * qp.n + 20
-        self.climbed = False
-        """Whether rows had to change one by one in the last call."""
         self.x, self.y = np.zeros(qp.n), np.zeros(qp.m)
         """The exact answer, after a call that returned True."""
         self.replace_rows(np.array(qp.A))
@@ -84,31 +82,27 @@ class Polish:
         u: Array,
         x: Array,
         y: Array,
-        *,
-        thorough: bool,
     ) -> bool:
         """Set `x` and `y` to the exact answer, if it is found.
 
         Args:
             q, l, u: vectors of the QP; bounds may cross by rounding. x, y: loose answer.
-            thorough: whether to change rows one by one where all at once does not work.
         """
         search, A, P = self._search, self._A, self._P
-        self.climbed = False
         patience, u = self._patience, np.maximum(l, u)
         search.bound(l, u)
         low = np.where(l > -np.inf, -self._linear, 0.0)
-        y = np.clip(y, low, np.where(u < np.inf, self._linear, 0.0))
+        y = np.minimum(np.maximum(y, low), np.where(u < np.inf, self._linear, 0.0))
         side, last = search.sides(y, A @ x), None
         for _ in range(_CENTRES):
             centre = x
             x = x - self._inverse @ (P @ x + q + y @ A)
             v = A @ x
             found = search.leap(side, y, v)
-            if found is None and thorough:
-                self.climbed, patience = True, patience + search.steps
-                found = search.climb(y, v, patience - search.steps)
-                patience -= search.steps
+            if found is None:
+                steps = search.steps
+                found = search.climb(y, v, patience)
+                patience -= search.steps - steps
             if found is None:
                 return False
             x = x - self.response @ (found[0] - y)

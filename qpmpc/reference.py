@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from qpmpc.arrays import Array
 from qpmpc.errors import ModelError
+
+Reference = Callable[[Array, Array], Array]
+"""From preview ``(N + 1, n_outputs)`` and output ``(n_outputs,)`` to w ``(N, n_outputs)``."""
 
 
 class ExponentialReference:

@@ -16,6 +16,7 @@ from scipy.linalg import solve_triangular
 
 from qpmpc.arrays import Array
 from qpmpc.errors import ModelError
+from qpmpc.parametric import Parametric
 from qpmpc.program import INFINITE, QuadraticProgram
 
 _CONDITION = 1e12
@@ -79,15 +80,34 @@ class Scaling:
         np.putmask(self.l, l <= -INFINITE, -np.inf)
         np.putmask(self.u, u >= INFINITE, np.inf)
 
+    def unscale(self, z: Array, out: Array) -> Array:
+        """Return the variables ``(n,)`` behind scaled ones, in ``out``."""
+        return np.dot(self.T, z, out=out)
+
     def rows(self, A: Array) -> Array:
         """Return other rows ``(m, n)`` of the QP, scaled as the first ones are."""
         return np.ascontiguousarray(self.E[:, None] * (A @ self.T))
+
+    def parameters(self, known: Parametric) -> Parametric:
+        """Return what is known of the QP's vectors, of the scaled ones."""
+        E = self.E[:, None]
+        return Parametric(
+            self._Tt @ known.gradient * self.c,
+            self._Tt @ known.q0 * self.c,
+            E * known.offset,
+            np.where(known.l0 <= -INFINITE, -np.inf, self.E * known.l0),
+            np.where(known.u0 >= INFINITE, np.inf, self.E * known.u0),
+        )
 
     def gradient(self, g: Array, out: Array) -> Array:
         """Scale a gradient ``(n,)`` of the QP's own cost, into ``out``."""
         np.dot(self._Tt, g, out=out)
         out *= self.c
         return out
+
+    def level(self) -> float:
+        """Return the largest entry of the scaled ``q`` of the last `update`."""
+        return float(np.abs(self.q).max(initial=0.0))
 
 
 def _whitening(P: Array) -> Array | None:

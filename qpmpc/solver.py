@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
 
 from qpmpc.arrays import Array, all_finite
-from qpmpc.backends import Backend, Limits, backend_class
+from qpmpc.backends import Backend, Fact, Limits, RawSolution, backend_class
 from qpmpc.errors import BackendSetupError
+from qpmpc.parametric import Parametric
 from qpmpc.program import QuadraticProgram
 from qpmpc.residuals import UNKNOWN, Check, Residuals
 from qpmpc.scaling import Scaling
@@ -59,6 +61,46 @@ class Solution:
         )
 
 
+class SolverScaling(Protocol):
+    """What a solver asks of a scaling."""
+
+    c: float
+    E: Array
+    q: Array
+    l: Array  # noqa: E741
+    u: Array
+
+    def update(self, q: Array, l: Array, u: Array) -> None:  # noqa: E741
+        """Write the scaled vectors into ``q``, ``l`` and ``u``."""
+        ...
+
+    def unscale(self, z: Array, out: Array) -> Array:
+        """Return the variables behind scaled ones, in ``out``."""
+        ...
+
+
+class SolverParts(Protocol):
+    """What a solver asks of the parts that the QP falls into."""
+
+    def __len__(self) -> int: ...
+
+    def forget(self) -> None:
+        """Forget what the next solve would start from."""
+        ...
+
+    def prepare(self) -> None:
+        """Do what needs no vectors."""
+        ...
+
+    def facts(self) -> list[Mapping[str, Fact]]:
+        """Return what is told of each part."""
+        ...
+
+    def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
+        """Solve all of them, scaled."""
+        ...
+
+
 class Solver:
     """One QP family and one backend, persistent: matrices once, vectors at each solve."""
 
@@ -71,6 +113,7 @@ class Solver:
         limits: Limits = NO_LIMITS,
         pattern: Pattern | None = None,
         smallest_part: int | None = None,
+        parameters: Parametric | None = None,
     ) -> None:
         """Scale ``qp``, split it, and set the backend up on its constant part.
 
@@ -83,28 +126,54 @@ class Solver:
                 they are now, if not given.
             smallest_part: variables that make a component worth a call of its own; the backend's
                 own figure if not given.
+            parameters: what is known of the vectors to come, for backends that prepare for it.
 
         Raises:
             UnknownNameError, BackendUnavailableError, BackendSetupError.
         """
         kind = backend_class(backend) if isinstance(backend, str) else backend
         _require(kind, limits)
-        self.qp, self.backend_name = qp, kind.name
-        self._heeds_rows = kind.heeds_rows
-        self._again = kind.warm_starts
-        self._scaling = Scaling(qp, groups)
-        if limits.time and self._again:  # a second attempt must find half of the time left
+        scaling = Scaling(qp, groups)
+        if limits.time and kind.warm_starts:  # a second attempt must find half of the time left
             limits = replace(limits, time=limits.time / 2)
-        self._parts = Parts(
+        parts = Parts(
             kind,
-            self._scaling.qp,
+            scaling.qp,
             limits,
             patterns=(qp.P != 0, qp.A != 0 if pattern is None else pattern),
             smallest=smallest_part,
+            parameters=scaling.parameters(parameters)
+            if parameters is not None and kind.takes_parameters
+            else None,
         )
-        self._check = Check(qp, self._scaling, TOLERANCE)
-        self._x, self._y, self._room = np.zeros(qp.n), np.zeros(qp.m), np.zeros(qp.m)
-        self._to_y = self._scaling.E / self._scaling.c
+        check = Check(qp, scaling, TOLERANCE)
+        self.qp, self._dense = qp, (scaling, parts)
+        self._set_up(
+            kind.name, scaling, parts, check, heeds_rows=kind.heeds_rows, again=kind.warm_starts
+        )
+
+    def _set_up(
+        self,
+        name: str,
+        scaling: SolverScaling,
+        parts: SolverParts,
+        check: Check,
+        *,
+        heeds_rows: bool,
+        again: bool,
+    ) -> None:
+        """Take what was made for one form of the QP.
+
+        Args:
+            name: of the backend. scaling, parts, check: of the same QP.
+            heeds_rows: whether answers satisfy the rows.
+            again: whether a second attempt, begun from nothing, makes sense.
+        """
+        self.backend_name, self._heeds_rows, self._again = name, heeds_rows, again
+        self._scaling, self._parts, self._check = scaling, parts, check
+        n, m = scaling.q.size, scaling.E.size
+        self._x, self._y, self._room = np.zeros(n), np.zeros(m), np.zeros(m)
+        self._to_y = scaling.E / scaling.c
 
     @property
     def parts(self) -> int:
@@ -113,8 +182,9 @@ class Solver:
 
     def replace_rows(self, A: Array) -> None:
         """Take other rows ``(m, n)`` from the next solve on; penalties and their scale stay."""
+        scaling, parts = self._dense
         self._check.replace_rows(A)
-        self._parts.replace_rows(self._scaling.rows(A))
+        parts.replace_rows(scaling.rows(A))
 
     def forget(self) -> None:
         """Let the next solve start from nothing, where the backend starts from the last one."""
@@ -123,6 +193,14 @@ class Solver:
     def no_answer(self) -> Solution:
         """Return what stands in the place of an answer where there is no time left for one."""
         return self._failure(Status.LATE, 0, 0.0, 0.0, 0.0)
+
+    def prepare(self) -> None:
+        """Let the backend do what can be done between two solves; need not be called."""
+        self._parts.prepare()
+
+    def facts(self) -> list[Mapping[str, Fact]]:
+        """Return what the backend tells of itself in each of the `parts`; mostly nothing."""
+        return self._parts.facts()
 
     def solve(self, q: Array, l: Array, u: Array) -> Solution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)`` in the QP's own units.
@@ -177,7 +255,7 @@ class Solver:
             return raw.status, UNKNOWN, raw.iterations, raw.build_time, spent
         if not all_finite(raw.x):
             return Status.FAILED, UNKNOWN, raw.iterations, raw.build_time, spent
-        np.dot(scaling.T, raw.x, out=self._x)
+        scaling.unscale(raw.x, self._x)
         np.multiply(raw.y, self._to_y, out=self._y)
         residuals = self._check(q, l, u, self._x, self._y)
         status = self._judge(raw.status, residuals)

@@ -6,6 +6,7 @@ its own; components too small to be worth one are packed together.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from qpmpc.arrays import Array, Indices
-from qpmpc.backends import Backend, Limits, RawSolution
+from qpmpc.backends import Backend, Fact, Limits, RawSolution
+from qpmpc.parametric import Parametric
 from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
 
@@ -35,6 +37,11 @@ _SEVERITY = {
         )
     )
 }
+
+
+def worst(one: Status, other: Status) -> Status:
+    """Return the graver of what two parts say."""
+    return one if _SEVERITY[one] >= _SEVERITY[other] else other
 
 
 def components(P: Pattern, A: Pattern, smallest: int) -> list[tuple[Indices, Indices]]:
@@ -74,6 +81,8 @@ class _Part:
         limits: Limits,
         variables: Indices,
         rows: Indices,
+        *,
+        parameters: Parametric | None,
     ) -> None:
         self.kind, self.limits, self.variables, self.rows = kind, limits, variables, rows
         self.qp = QuadraticProgram(
@@ -82,6 +91,8 @@ class _Part:
             qp.linear[rows], qp.quadratic[rows],
         )  # fmt: skip
         self.backend = kind(self.qp, limits)
+        if parameters is not None:
+            self.backend.expect(parameters.part(variables, rows))
 
     def replace_rows(self, A: Array) -> None:
         mine = A
@@ -104,6 +115,7 @@ class Parts:
         *,
         patterns: tuple[Pattern, Pattern],
         smallest: int | None,
+        parameters: Parametric | None = None,
     ) -> None:
         """Split ``qp`` and set one ``kind`` up for each component.
 
@@ -113,13 +125,14 @@ class Parts:
             patterns: where the Hessian, ``(n, n)``, and the rows, ``(m, n)``, may ever be other
                 than zero, before scaling: that mixes variables, but those of one component only.
             smallest: part worth a call, see `components`; the backend's own figure if not given.
+            parameters: what is known of the vectors to come, scaled; for backends that take it.
 
         Raises:
             BackendSetupError: the solver refuses a component.
         """
         found = components(*patterns, smallest or kind.smallest_part)
         share = Limits(limits.iterations, limits.time and limits.time / len(found))
-        self._parts = [_Part(kind, qp, share, *indices) for indices in found]
+        self._parts = [_Part(kind, qp, share, *indices, parameters=parameters) for indices in found]
         self._order = np.concatenate([part.variables for part in self._parts])
         self._row_order = np.concatenate([part.rows for part in self._parts])
         self._empty = np.setdiff1d(np.arange(qp.m), self._row_order)
@@ -149,6 +162,15 @@ class Parts:
         for part in self._parts:
             part.backend.forget()
 
+    def prepare(self) -> None:
+        """Do what can be done between two solves, in each component."""
+        for part in self._parts:
+            part.backend.prepare()
+
+    def facts(self) -> list[Mapping[str, Fact]]:
+        """Return what the backend tells of each component."""
+        return [part.backend.facts() for part in self._parts]
+
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Solve all components; the status is the worst of theirs."""
         if self._whole:
@@ -164,8 +186,7 @@ class Parts:
             answer.y[part.rows] = raw.y
             answer.iterations += raw.iterations
             answer.build_time += raw.build_time
-            if _SEVERITY[raw.status] > _SEVERITY[answer.status]:
-                answer.status = raw.status
+            answer.status = worst(answer.status, raw.status)
         if self._empty.size:
             self._settle_empty(l[self._empty], u[self._empty])
         return answer

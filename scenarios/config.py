@@ -22,11 +22,25 @@ class SetpointStep:
     """New contact force on y [N]."""
     z: float | None = None
     """New contact force on z [N]; pressing down is negative."""
+    ramp: Annotated[float, Ge(0), Le(3600)] = 0.0
+    """Time over which it moves linearly to the new value [s]; 0: at once."""
+
+
+@dataclass(frozen=True)
+class LiveConfig:
+    """A setpoint that another process sends, see ``docs/live-setpoint.md``."""
+
+    port: Annotated[int, Ge(1024), Le(65535)]
+    """UDP port on 127.0.0.1 that is opened for it."""
+    largest_rate: Annotated[float, Gt(0), Le(1e5)] = 100.0
+    """How fast the setpoint follows what is sent [N/s]."""
+    stale_after: Annotated[float, Gt(0), Le(60)] = 0.1
+    """Silence after which the setpoint stays where it is [s]."""
 
 
 @dataclass(frozen=True)
 class SetpointConfig:
-    """The contact force that is wished for."""
+    """The contact force that is wished for: given here, recorded in a file, or sent live."""
 
     x: float = 1.0
     """Contact force on x at the start [N]."""
@@ -36,6 +50,14 @@ class SetpointConfig:
     """Contact force on z at the start [N]; pressing down is negative."""
     steps: tuple[SetpointStep, ...] = ()
     """Changes, in the order of their times."""
+    file: str | None = None
+    """CSV file of a recorded wish, columns t [s] and those of x, y, z [N] that are controlled; in
+    place of x, y, z and steps."""
+    live: LiveConfig | None = None
+    """What another process sends, from x, y, z on; the run is then paced by the clock."""
+    preview: bool = True
+    """Whether the controller sees changes coming within its horizon; a surgeon's hand it does
+    not."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import is_dataclass
 from typing import get_args
 
 from qpmpc.config import INFINITE, Band, Interval, PerAxis, SoftBoundName
-from scenarios.config import AxesChange, Scenario
+from scenarios.config import AxesChange, Scenario, SetpointConfig
 from scenarios.errors import ScenarioKeyError
 
 _AXES = ("x", "y", "z")
@@ -27,6 +27,8 @@ def check_consistent(scenario: Scenario, source: str) -> None:
         raise ScenarioKeyError(source, "axes", f"names an axis twice: {list(scenario.axes)}")
     for axis in scenario.axes:
         low, high = band(scenario.controller.bounds.force, axis)
+        if scenario.setpoint.file is not None:
+            break  # held to them when it is read
         wished = [("setpoint", getattr(scenario.setpoint, axis))]
         if not scenario.bounds_steps:
             for i, step in enumerate(scenario.setpoint.steps):
@@ -42,14 +44,33 @@ def check_consistent(scenario: Scenario, source: str) -> None:
     for place, timed in (
         ("setpoint.steps", scenario.setpoint.steps),
         ("bounds_steps", scenario.bounds_steps),
+        ("motion.rate_steps", scenario.motion.rate_steps),
     ):
         times = [step.time for step in timed]
         if times != sorted(times):
             raise ScenarioKeyError(source, place, "must be in the order of their times")
     _check_protection(scenario, source)
+    _check_one_setpoint(scenario, source)
     contact = scenario.cell.contact
     if contact.gap > 0 and not contact.unilateral:
         raise ScenarioKeyError(source, "cell.contact.gap", "needs cell.contact.unilateral = true")
+
+
+def _check_one_setpoint(scenario: Scenario, source: str) -> None:
+    """Refuse keys that a recorded or a live setpoint leaves without effect."""
+    setpoint = scenario.setpoint
+    if setpoint.live is not None:
+        for key, given in (("steps", setpoint.steps), ("file", setpoint.file)):
+            if given:
+                raise ScenarioKeyError(source, f"setpoint.{key}", "no effect beside setpoint.live")
+    if setpoint.file is None:
+        return
+    default = SetpointConfig()
+    if setpoint.steps:
+        raise ScenarioKeyError(source, "setpoint.steps", "no effect beside setpoint.file")
+    for axis in scenario.axes:
+        if getattr(setpoint, axis) != getattr(default, axis):
+            raise ScenarioKeyError(source, f"setpoint.{axis}", "no effect beside setpoint.file")
 
 
 def band(value: Band | AxesChange, axis: str) -> Interval:

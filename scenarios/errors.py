@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class ScenarioError(Exception):
@@ -33,6 +34,33 @@ class UnknownScenarioError(ScenarioError):
         super().__init__(
             f"unknown scenario '{name}'{nearest(name, self.valid)}, or give the path of a TOML file"
         )
+
+
+class DataFileError(ScenarioError):
+    """A file of motion, beats or setpoints cannot be used.
+
+    Attributes: ``path`` of the file; ``line``, the number of the line in it (from 1), or ``None``
+    if the fault is not in one line.
+    """
+
+    def __init__(self, path: Path, line: int | None, reason: str) -> None:
+        self.path = path
+        self.line = line
+        place = f"{path}: " if line is None else f"{path}: line {line}: "
+        super().__init__(place + reason)
+
+
+class DataTooShortError(ScenarioError):
+    """A file of motion, beats or setpoints ends before the run does.
+
+    Attributes: ``path``; ``available``, the longest run it allows [s]; ``requested`` duration [s].
+    """
+
+    def __init__(self, path: Path, available: float, requested: float, reason: str) -> None:
+        self.path = path
+        self.available = available
+        self.requested = requested
+        super().__init__(f"{path}: {reason}")
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -1,7 +1,7 @@
 """One experiment: the run under control, and the same motion on a tool that is held still."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
@@ -9,12 +9,16 @@ from numpy.typing import NDArray
 
 from plant.cell import Cell, heart_programme
 from plant.errors import UnstableSimulationError
-from qpmpc.backends import backend_class
+from qpmpc.backends import Fact, backend_class
 from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
+from scenarios.consistency import band
+from scenarios.errors import ScenarioError
+from scenarios.live import LiveSetpoint
 from scenarios.log import Log
-from scenarios.loop import Stop, Watch, control_loop, watch_loop
+from scenarios.loop import Pace, Stop, Watch, control_loop, watch_loop
 from scenarios.motion import load_motion
+from scenarios.motion.config import AXES
 from scenarios.physics import physics_loop
 from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
@@ -31,7 +35,7 @@ class Assembly:
     """What a controlled run is made of, at its start."""
 
     cell: Cell
-    setpoint: Setpoint
+    setpoint: Setpoint | LiveSetpoint
     schedule: Schedule
     controller: ForceController
     log: Log
@@ -51,6 +55,12 @@ class Experiment:
     not."""
     wall_time: dict[str, float]
     """Seconds that each stage took: ``setup``, ``compensated``, ``uncompensated``; 0 if not run."""
+    live: dict[str, int] | None = None
+    """What came of a setpoint that was sent, see `scenarios.live.Counts`; None without one."""
+    backend_facts: Sequence[Mapping[str, Fact]] = ()
+    """What the backend told of itself, one entry for each problem that it solved a cycle."""
+    form: Mapping[str, str] = field(default_factory=dict)
+    """Which form the controller's problem had, and why: ``name`` and ``reason``."""
 
 
 def assemble(scenario: Scenario, report: Report) -> Assembly:
@@ -63,19 +73,20 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     Raises:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had.
     """
-    period, cycles, horizon = scenario.cell.period, scenario.cycles, scenario.controller.horizon
-    kind = backend_class(scenario.backend)  # one that is not there is told before anything is done
+    period, cycles = scenario.cell.period, scenario.cycles
+    backend_class(scenario.backend)  # one that is not there is told before anything is done
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
+    setpoint = _setpoint(scenario)
+    schedule = Schedule(scenario)
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
-    wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
     library = physics_loop().library
 
     def another_cell() -> Cell:
         return Cell(
             scenario.cell,
             motion,
-            force=wished,
+            force=setpoint.start,
             seed=scenario.seed,
             axes=scenario.axes,
             heart=heart,
@@ -83,20 +94,45 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
         )
 
     cell = another_cell()
-    setpoint = Setpoint(scenario.setpoint, scenario.axes, cycles, horizon, period)
-    schedule = Schedule(scenario)
+    controller = make_controller(scenario, cell, setpoint, schedule)
+    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
+    return Assembly(cell, setpoint, schedule, controller, log, another_cell)
+
+
+def hold_still(cell: Cell, scenario: Scenario, setpoint: Setpoint | LiveSetpoint) -> None:
+    """Close the brakes where the force would be the setpoint at the start in the tissue's middle.
+
+    The middle is that of its motion: no other place gives less force error.
+    """
+    cell.move_tool(setpoint.start / scenario.cell.contact.stiffness)
+    cell.close_brakes()
+
+
+def make_controller(
+    scenario: Scenario, cell: Cell, setpoint: Setpoint | LiveSetpoint, schedule: Schedule
+) -> ForceController:
+    """Make the controller of a scenario, for the start of a run.
+
+    Args:
+        scenario: see there.
+        cell: at its start; what it tells of its joints is where bounds on them begin.
+        setpoint, schedule: of the run.
+
+    Raises:
+        ScenarioError, QpmpcError: what the scenario asks for cannot be had.
+    """
     controller = ForceController(
         scenario.controller,
         scenario.axes,
-        period,
-        kind,
+        scenario.cell.period,
+        backend_class(scenario.backend),
         joints=cell.joint_space(np.zeros(3), np.zeros(3)),
         moving=schedule.moving,
     )
     touching = scenario.cell.contact.gap == 0
-    controller.reset(setpoint.force[0] * touching)
-    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
-    return Assembly(cell, setpoint, schedule, controller, log, another_cell)
+    start = [setpoint.start[AXES.index(axis)] for axis in scenario.axes]
+    controller.reset(np.array(start) * touching)
+    return controller
 
 
 def run_experiment(
@@ -106,11 +142,9 @@ def run_experiment(
     stop: Stop,
     held: Array | None = None,
     shadow: Shadow | None = None,
+    pace: Pace | None = None,
 ) -> Experiment:
     """Run a scenario: controlled first, then with the brakes closed.
-
-    The tool is held where the force would be the setpoint if the tissue stood in the middle of
-    its motion: no other place gives less force error.
 
     Args:
         scenario: see there.
@@ -118,6 +152,7 @@ def run_experiment(
         held: force of the run with the brakes closed, ``(cycles, 3)`` [N], where an experiment of
             the same motion has it already.
         shadow: makes what is shown every step of the controller.
+        pace: of the controlled run, see `Pace`; a setpoint that is sent live wants the clock's.
 
     Raises:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had; nothing
@@ -130,9 +165,7 @@ def run_experiment(
     watch = shadow(made.controller) if shadow else None
     if held is None:
         still = made.another_cell()
-        wished = np.array([scenario.setpoint.x, scenario.setpoint.y, scenario.setpoint.z])
-        still.move_tool(wished / scenario.cell.contact.stiffness)
-        still.close_brakes()
+        hold_still(still, scenario, made.setpoint)
     ready = perf_counter()
     controlled, stopped = None, None
     try:
@@ -144,6 +177,7 @@ def run_experiment(
             cycles,
             schedule=made.schedule,
             watch=watch,
+            pace=pace,
             progress=lambda done, total: report("compensated", done, total),
             stop=stop,
         )
@@ -161,6 +195,10 @@ def run_experiment(
         stopped = None if complete else "interrupted"
     except UnstableSimulationError as error:
         stopped = str(error)
+    finally:
+        if isinstance(made.setpoint, LiveSetpoint):
+            made.setpoint.close()
+            log.setpoint_source[:] = made.setpoint.source
     ended = perf_counter()
     if controlled is None:
         controlled = ended
@@ -174,4 +212,37 @@ def run_experiment(
             "compensated": controlled - ready,
             "uncompensated": ended - controlled if held is None else 0.0,
         },
+        made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
+        made.controller.general.solver.facts(),
+        form={
+            "name": made.controller.general.problem.form,
+            "reason": made.controller.form_reason,
+        },
     )
+
+
+def _setpoint(scenario: Scenario) -> Setpoint | LiveSetpoint:
+    config, axes, period = scenario.setpoint, scenario.axes, scenario.cell.period
+    cycles, horizon = scenario.cycles, scenario.controller.horizon
+    bounds = np.array([band(scenario.controller.bounds.force, axis) for axis in axes]).T
+    if config.live is not None:
+        return LiveSetpoint(
+            config.live, np.array([config.x, config.y, config.z]), (bounds[0], bounds[1]), axes,
+            cycles=cycles, horizon=horizon, period=period,
+        )  # fmt: skip
+    setpoint = Setpoint(config, axes, cycles, horizon, period)
+    if config.file is not None and not scenario.bounds_steps:
+        _check_recorded(config.file, setpoint.force[:cycles], bounds, scenario)
+    return setpoint
+
+
+def _check_recorded(file: str, wished: Array, bounds: Array, scenario: Scenario) -> None:
+    """Hold a recorded setpoint to the bounds on force, as one that is written out is held."""
+    beyond = np.argwhere((wished < bounds[0]) | (wished > bounds[1]))
+    if beyond.size:
+        k, j = beyond[0]
+        axis, when = scenario.axes[j], k * scenario.cell.period
+        raise ScenarioError(
+            f"{file}: {axis} is {wished[k, j]:g} N at {when:g} s, outside "
+            f"controller.bounds.force.{axis} = [{bounds[0, j]:g}, {bounds[1, j]:g}] N"
+        )

@@ -20,10 +20,11 @@ from scenarios.consistency import check_consistent
 from scenarios.errors import ScenarioError, ScenarioKeyError, UnknownScenarioError, nearest
 
 Table = dict[str, Any]
+_AXES = ("x", "y", "z")
 _NO_BOUNDS = ("margin", "friction", "largest_error", "time")
 """Keys beside the bounds that must be finite."""
-_FILES = ("file", "beats")
-"""Keys of the motion that name a file, relative to the scenario's own place."""
+_FILES = {"motion": ("file", "beats"), "setpoint": ("file",)}
+"""Keys of each table that name a file, relative to the scenario's own place."""
 
 
 def shipped() -> dict[str, Path]:
@@ -38,6 +39,7 @@ def load_scenario(
     top: Mapping[str, Any] | None = None,
     motion: Path | None = None,
     beats: Path | None = None,
+    setpoint: Path | None = None,
     settings: Sequence[str] = (),
 ) -> Scenario:
     """Load a shipped scenario by name, or any by the path of its TOML file.
@@ -47,6 +49,7 @@ def load_scenario(
         top: values for top-level keys (duration, seed, backend), in place of the file's.
         motion: CSV file of a recorded motion, in place of the file's motion but for its axes.
         beats: CSV file of beat times, in place of the file's.
+        setpoint: CSV file of a recorded wish, in place of the file's setpoint.
         settings: texts ``key.path=value``, the value in TOML's notation, applied last.
 
     Raises:
@@ -57,10 +60,12 @@ def load_scenario(
     table = _read(path)
     _check_keys(table, Scenario, path.name)
     table.setdefault("name", path.stem)
+    for part, names in _FILES.items():
+        for key in names:
+            named = table.get(part, {})
+            if isinstance(named.get(key), str):
+                named[key] = str((path.parent / named[key]).resolve())
     moved = table.get("motion", {})
-    for key in _FILES:
-        if isinstance(moved.get(key), str):
-            moved[key] = str((path.parent / moved[key]).resolve())
     if motion is not None and beats is not None:
         raise ScenarioError(
             "--motion and --beats exclude each other: a recording has its own beats"
@@ -71,6 +76,10 @@ def load_scenario(
         moved = {k: v for k, v in moved.items() if k != "file"} | {"beats": str(beats.resolve())}
     if moved:
         table["motion"] = moved
+    if setpoint is not None:
+        held = set(_AXES) - set(table.get("axes", _AXES))  # where the wish is only the start
+        kept = {k: v for k, v in table.get("setpoint", {}).items() if k in {*held, "preview"}}
+        table["setpoint"] = kept | {"file": str(setpoint.resolve())}
     table |= top or {}
     keys = [_apply_setting(table, text) for text in settings]
     try:

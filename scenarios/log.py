@@ -12,6 +12,7 @@ from plant.interface import Cause, Measurement, Trip, Truth
 from qpmpc.controller import Step
 from qpmpc.fallback import Source
 from qpmpc.status import Status
+from scenarios.live import Source as SetpointSource
 from scenarios.motion import Axis
 
 Array = NDArray[np.float64]
@@ -19,6 +20,7 @@ _AXES = ("x", "y", "z")
 _STATUSES = tuple(Status)
 _CODES = {status: code for code, status in enumerate(_STATUSES)}
 _SOURCES = tuple(Source)
+_SETPOINT_SOURCES = tuple(source.name.lower() for source in SetpointSource)
 _SOURCE_CODES = {source: code for code, source in enumerate(_SOURCES)}
 _TRIPS = ("none", *Cause)
 
@@ -40,6 +42,7 @@ class Log:
         self.bounds = tuple(bounds)
         self.time = np.zeros(cycles)
         self.setpoint = np.zeros((cycles, n))
+        self.setpoint_source = np.zeros(cycles, dtype=np.int8)
         self.force = np.zeros((cycles, 3))
         self.force_peak = np.zeros(cycles)
         self.force_measured = np.zeros((cycles, 3))
@@ -172,6 +175,7 @@ class Log:
         for name, names, chosen in (
             ("status", _STATUSES, self.status),
             ("source", _SOURCES, self.source),
+            ("setpoint_source", _SETPOINT_SOURCES, self.setpoint_source),
             ("trip", _TRIPS, self.tripped * _TRIPS.index(self.trip.cause if self.trip else "none")),
         ):
             labels = pa.array([str(s) for s in names])

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from plant.interface import JointPlant, Plant
 from qpmpc.controller import Step
 from qpmpc.force_control import ForceController
-from scenarios.errors import ScenarioError
+from scenarios.cycle import ControlCycle
+from scenarios.live import LiveSetpoint
 from scenarios.log import Log
 from scenarios.schedule import Schedule
 from scenarios.setpoint import Setpoint
@@ -23,21 +24,23 @@ Watch = Callable[[Step], None]
 """Shown the step of every cycle, while the controller's problem still holds its vectors."""
 Stop = Callable[[], bool]
 """Asked once per cycle whether to stop before the end."""
+Pace = Callable[[], object]
+"""Called at the start of each cycle: returns when its time has come."""
 
 _EVERY = 250
 """Cycles between reports of progress."""
-_AXIS = {"x": 0, "y": 1, "z": 2}
 
 
 def control_loop(
     plant: Plant | JointPlant,
     controller: ForceController,
-    setpoint: Setpoint,
+    setpoint: Setpoint | LiveSetpoint,
     log: Log,
     cycles: int,
     *,
     schedule: Schedule,
     watch: Watch | None = None,
+    pace: Pace | None = None,
     progress: Progress,
     stop: Stop,
 ) -> bool:
@@ -50,33 +53,23 @@ def control_loop(
         cycles: how many at most.
         schedule: of the bounds; a command on its bound counts as saturated.
         watch: shown every step, outside the clock.
+        pace: see `Pace`; as fast as it goes if not given.
         progress, stop: see `Progress`, `Stop`.
     """
-    every = controller.axes == tuple(_AXIS)
-    index = slice(None) if every else np.array([_AXIS[axis] for axis in controller.axes])
-    command = np.zeros(3)
+    cycle = ControlCycle(plant, controller, setpoint, schedule)
     low, high = (side.tolist() for side in schedule.first_command)
-    joints = plant if controller.bounds_joints and isinstance(plant, JointPlant) else None
-    if controller.bounds_joints and joints is None:
-        raise ScenarioError("joints are bounded, but the plant tells nothing about its joints")
     with quiet_memory():
         for k in range(cycles):
             if stop():
                 return False
+            if pace is not None:
+                pace()
             woken = perf_counter()
             measurement = plant.measure()
             begin = perf_counter()
-            if schedule.due[k]:
-                for name in schedule.moving:
-                    controller.move(name, *schedule.preview(name, k))
-            if joints is not None:
-                controller.view(joints.joint_space(measurement.force, command))
-            step = controller.step(
-                measurement.force[index], measurement.velocity[index], setpoint.preview(k)
-            )
+            step = cycle.decide(k, measurement)
             decided = perf_counter()
-            command[index] = step.command
-            plant.apply(command)
+            plant.apply(cycle.command)
             applied = perf_counter()
             controller.prepare()
             cycle_time = decided - begin + perf_counter() - applied

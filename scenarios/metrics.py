@@ -64,6 +64,8 @@ def summarise(experiment: Experiment) -> Summary:
     return {
         "scenario": scenario.name,
         "backend": scenario.backend,
+        "backend_facts": [dict(facts) for facts in experiment.backend_facts if facts],
+        "form": dict(experiment.form),
         "seed": scenario.seed,
         "cycles": end,
         "complete": experiment.stopped is None,
@@ -102,6 +104,7 @@ def summarise(experiment: Experiment) -> Summary:
         "status": log.status_counts(),
         "source": log.source_counts(),
         "physics": physics_loop().told,
+        "live_setpoint": experiment.live,
         "versions": versions(),
     }
 

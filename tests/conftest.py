@@ -71,7 +71,9 @@ class Trace:
     def equals(self, other: Trace) -> bool:
         """Bit for bit."""
         names = ("force", "read", "position", "velocity", "tissue", "torque", "saturated")
-        return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
+        return all(
+            np.array_equal(getattr(self, n), getattr(other, n), equal_nan=True) for n in names
+        )
 
 
 def _perfect(**changes: Any) -> CellConfig:
@@ -97,11 +99,10 @@ def _changed(config: CellConfig, **changes: Any) -> CellConfig:
         ("tool", ToolConfig),
         ("imperfections", ImperfectionConfig),
         ("protection", ProtectionConfig),
+        ("sensor", SensorConfig),
     ):
         mine = {k: changes.pop(k) for k in list(changes) if k in kind.__dataclass_fields__}
         parts[part] = replace(getattr(config, part), **mine)
-    if "model" in changes:
-        parts["sensor"] = SensorConfig(changes.pop("model"))
     return replace(config, **parts, **changes)
 
 

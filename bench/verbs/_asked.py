@@ -19,6 +19,8 @@ class Asked(Protocol):
     @property
     def beats(self) -> Path | None: ...
     @property
+    def setpoint(self) -> Path | None: ...
+    @property
     def duration(self) -> float | None: ...
     @property
     def seed(self) -> int | None: ...
@@ -33,6 +35,7 @@ def load(asked: Asked, **top: str | None) -> Scenario:
         top={key: value for key, value in keys.items() if value is not None},
         motion=asked.motion,
         beats=asked.beats,
+        setpoint=asked.setpoint,
         settings=asked.set,
     )
 

@@ -5,21 +5,23 @@ from typing import Annotated
 
 import tyro
 
+from bench.verbs.deadline import Deadline
 from bench.verbs.latency import Latency
 from bench.verbs.latency_compare import CompareLatency
 
 _Measurement = (
     Annotated[Latency, tyro.conf.subcommand("latency")]
+    | Annotated[Deadline, tyro.conf.subcommand("deadline")]
     | Annotated[CompareLatency, tyro.conf.subcommand("compare")]
 )
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure time: of the solvers on recorded cycles, and of two such measurements together.
+    """Measure time: of solvers on recorded cycles, of whole cycles against their deadline.
 
-    For example, `pulsempc bench latency --backends analytic,daqp`, or
-    `pulsempc bench compare before.json after.json`.
+    For example, `pulsempc bench latency --backends analytic,daqp`,
+    `pulsempc bench deadline --realtime`, or `pulsempc bench compare before.json after.json`.
     """
 
     verb: Annotated[_Measurement, tyro.conf.arg(name="")]

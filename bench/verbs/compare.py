@@ -39,6 +39,8 @@ class Compare:
     """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
     beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
     """Times of heart beats that drive the generated motion: column t [s]."""
+    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
     duration: Annotated[float | None, _arg(metavar="S")] = None
     """Simulated time [s]."""
     seed: Annotated[int | None, _arg(metavar="N")] = None
@@ -59,6 +61,8 @@ class Compare:
         for name in names:
             backend_class(name)  # an unknown one is told before anything is done
         scenario = load(self)
+        if scenario.setpoint.live is not None:
+            raise ScenarioError("setpoint.live: is another one in every run, nothing to compare by")
         folder = self.out or Path("runs") / f"compare-{scenario.name}-{now()}"
         with (
             result_folder(folder) as partial,

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from bench.cli import INTERRUPTED
 from bench.figures import draw_forces
+from bench.pace import by_the_clock
 from bench.progress import Reporter, ctrl_c
 from bench.table import force_table, timing_lines, trip_line
 from bench.verbs._asked import FAILED, load, now
@@ -36,6 +37,8 @@ class Run:
     """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
     beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
     """Times of heart beats that drive the generated motion: column t [s]."""
+    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
     duration: Annotated[float | None, _arg(metavar="S")] = None
     """Simulated time [s]."""
     seed: Annotated[int | None, _arg(metavar="N")] = None
@@ -57,7 +60,13 @@ class Run:
             Reporter(quiet=self.json) as reporter,
             ctrl_c() as interrupt,
         ):
-            experiment = run_experiment(scenario, report=reporter, stop=interrupt)
+            live = scenario.setpoint.live is not None
+            experiment = run_experiment(
+                scenario,
+                report=reporter,
+                stop=interrupt,
+                pace=by_the_clock(scenario.cell.period) if live else None,
+            )
             summary = summarise(experiment)
             write_run(experiment, summary, partial)
             draw_forces(experiment.log, partial / "forces.png")

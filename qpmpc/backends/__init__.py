@@ -18,12 +18,13 @@ from qpmpc.backends._registry import (
     registered,
     version,
 )
-from qpmpc.backends.base import Backend, BackendInfo, Family, LimitKind, Limits, RawSolution
+from qpmpc.backends.base import Backend, BackendInfo, Fact, Family, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendUnavailableError, UnknownNameError
 
 __all__ = [
     "Backend",
     "BackendInfo",
+    "Fact",
     "Family",
     "LimitKind",
     "Limits",

@@ -235,7 +235,7 @@ class ConicBackend(Backend):
             self._x.fill(0.0)
             answer.y.fill(0.0)
         polish.allow(limits.iterations or _EQUATIONS, np.inf)
-        if not polish(q, l, u, answer.x, answer.y, thorough=True):
+        if not polish(q, l, u, answer.x, answer.y):
             return False
         np.copyto(answer.x, polish.x)
         np.copyto(answer.y, polish.y)

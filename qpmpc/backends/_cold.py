@@ -122,7 +122,7 @@ class ColdBackend(Backend):
             answer.x, answer.y = np.zeros(form.n), np.zeros(self._y.size)
         if answer.status in self._polished and error > _LOOSE:
             polish.allow(_EQUATIONS, deadline)
-            if polish(q, l, u, answer.x, answer.y, thorough=True):
+            if polish(q, l, u, answer.x, answer.y):
                 answer.x, answer.y = polish.x, polish.y
         return answer
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol
 
 from qpmpc.arrays import Array
 from qpmpc.construction import NUMPY, Construction
+from qpmpc.parametric import Parametric
 from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
 
 LimitKind = Literal["iterations", "time"]
+Fact = bool | int | float | str
+"""What a backend tells about itself besides its answers."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,11 @@ class Backend(Protocol):
     smallest_part: ClassVar[int] = 8
     """Variables below which a component of a QP is not worth a call of its own: packed with others
     up to this size, the call costs less than two."""
+    takes_parameters: ClassVar[bool] = False
+    """Whether `expect` does anything with what is known of the vectors to come."""
+    structured: ClassVar[bool] = False
+    """Whether the structured form, an exact active-set method as well, may stand in for it where
+    the horizon is long; see ``docs/long-horizons.md``."""
     construction: ClassVar[Construction] = NUMPY
     """Who builds the matrices of the force controller's problem for this backend."""
 
@@ -82,6 +90,18 @@ class Backend(Protocol):
     def forget(self) -> None:
         """Forget what the next solve would start from; called where an answer fails the check."""
         return
+
+    def expect(self, parameters: Parametric) -> None:  # noqa: ARG002
+        """Prepare for the vectors that parameters give; called once, where `takes_parameters`."""
+        return
+
+    def prepare(self) -> None:
+        """Do what can be done between two solves; called where there is time for it, or never."""
+        return
+
+    def facts(self) -> Mapping[str, Fact]:
+        """Return what there is to tell beside the answers: sizes, bounds, counts; by name."""
+        return {}
 
     def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
         """Solve for new vectors ``q (n,)``, ``l (m,)``, ``u (m,)``."""

@@ -51,6 +51,7 @@ class DaqpBackend(Backend):
     summary: ClassVar[str] = "DAQP, dual active set, exact in few microseconds; all bounds"
     warm_starts: ClassVar[bool] = True
     replaces_rows: ClassVar[bool] = True
+    structured: ClassVar[bool] = True
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 
     smallest_part: ClassVar[int] = 64  # 24 variables cost one call what 8 do: it is all overhead
@@ -127,7 +128,7 @@ class DaqpBackend(Backend):
         """Better an answer of proximal steps, which DAQP takes where P is only semidefinite."""
         if answer.status is Status.SOLVED and self._limits.time is None:
             self._polish.allow(self._limits.iterations or _EQUATIONS, np.inf)
-            if self._polish(q, l, u, answer.x, answer.y, thorough=True):
+            if self._polish(q, l, u, answer.x, answer.y):
                 answer.x, answer.y = self._polish.x, self._polish.y
         elif answer.status is Status.ITERATION_LIMIT and self._limits == Limits():
             form = self._form

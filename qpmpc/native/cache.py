@@ -18,7 +18,8 @@ from qpmpc.native.errors import CacheError
 
 VARIABLE = "PULSEMPC_CACHE"
 """Environment variable that names the folder in place of the usual one."""
-_DIGEST = hashlib.sha256().digest_size
+DIGEST = hashlib.sha256().digest_size
+"""Bytes of the digest at the end of each file."""
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -74,7 +75,7 @@ def sound(path: Path) -> bool:
     with os.fdopen(handle, "rb") as file:
         _require_own(path, os.fstat(file.fileno()))
         content = file.read()
-    return hashlib.sha256(content[:-_DIGEST]).digest() == content[-_DIGEST:]
+    return hashlib.sha256(content[:-DIGEST]).digest() == content[-DIGEST:]
 
 
 def store(made: Path, path: Path) -> None:

@@ -10,13 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scenarios.motion.config import AXES, Axis, MotionConfig
-from scenarios.motion.errors import (
-    MotionFileError,
-    MotionKeyError,
-    MotionTooShortError,
-    UnreachableForceError,
-)
+from scenarios.errors import DataFileError, DataTooShortError
+from scenarios.motion.config import AXES, Axis, MotionConfig, RateStep
+from scenarios.motion.errors import MotionKeyError, UnreachableForceError
 from scenarios.motion.generator import CALIBRATION_TIME, generate
 from scenarios.motion.record import Motion
 from scenarios.motion.recording import read_recording
@@ -24,17 +20,20 @@ from scenarios.motion.recording import read_recording
 __all__ = [
     "CALIBRATION_TIME",
     "Axis",
+    "DataFileError",
+    "DataTooShortError",
     "Motion",
     "MotionConfig",
-    "MotionFileError",
     "MotionKeyError",
-    "MotionTooShortError",
+    "RateStep",
     "UnreachableForceError",
     "load_motion",
 ]
 
 _KEYS_OF_DRAWN_BEATS = (
     "heart_rate",
+    "rate_steps",
+    "rate_irregularity",
     "rate_variability_lf",
     "rate_variability_hf",
     "early_beat_probability",
@@ -49,7 +48,7 @@ def load_motion(config: MotionConfig, duration: float, period: float, seed: int)
     recording does not depend on the seed. Relative paths count from the working directory.
 
     Errors, all ``ScenarioError``: ``MotionKeyError`` for keys that ``file`` or ``beats`` leaves
-    without effect, ``MotionFileError`` for an unusable file, ``MotionTooShortError`` if it ends
+    without effect, ``DataFileError`` for an unusable file, ``DataTooShortError`` if it ends
     before the run, ``UnreachableForceError`` for force targets that the pulses cannot give.
     """
     if config.file is not None:

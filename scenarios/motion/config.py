@@ -12,6 +12,16 @@ Positive = Annotated[float, Gt(0)]
 
 
 @dataclass(frozen=True)
+class RateStep:
+    """A change of the heart's rate."""
+
+    time: Annotated[float, Gt(0)]
+    """When it happens [s]: from the first beat after it on."""
+    rate: Annotated[float, Ge(0.5), Le(3.0)]
+    """New mean rate [Hz]."""
+
+
+@dataclass(frozen=True)
 class MotionConfig:
     """Motion of the tissue: generated from a seed, timed by real beats, or recorded.
 
@@ -21,6 +31,10 @@ class MotionConfig:
 
     heart_rate: Annotated[float, Ge(0.5), Le(3.0)] = 1.2
     """Mean rate of the heart [Hz]."""
+    rate_steps: tuple[RateStep, ...] = ()
+    """Changes of that rate, in the order of their times."""
+    rate_irregularity: Annotated[float, Ge(0), Le(0.5)] = 0.0
+    """Relative spread of each interval by itself, uniform to either side [-]: fibrillation."""
     rate_variability_lf: Annotated[float, Ge(0), Le(0.2)] = 0.03
     """Amplitude of the slow wave (0.1 Hz) of the heart rate, relative to its mean [-]."""
     rate_variability_hf: Annotated[float, Ge(0), Le(0.2)] = 0.03

@@ -1,35 +1,6 @@
 """Errors of the motion: each carries what it is about, so that a caller need not read its text."""
 
-from pathlib import Path
-
 from scenarios.errors import ScenarioError
-
-
-class MotionFileError(ScenarioError):
-    """A motion or beat file cannot be used.
-
-    Attributes: ``path`` of the file; ``line``, the number of the line in it (from 1), or ``None``
-    if the fault is not in one line.
-    """
-
-    def __init__(self, path: Path, line: int | None, reason: str) -> None:
-        self.path = path
-        self.line = line
-        place = f"{path}: " if line is None else f"{path}: line {line}: "
-        super().__init__(place + reason)
-
-
-class MotionTooShortError(ScenarioError):
-    """A motion or beat file ends before the run does.
-
-    Attributes: ``path``; ``available``, the longest run it allows [s]; ``requested`` duration [s].
-    """
-
-    def __init__(self, path: Path, available: float, requested: float, reason: str) -> None:
-        self.path = path
-        self.available = available
-        self.requested = requested
-        super().__init__(f"{path}: {reason}")
 
 
 class UnreachableForceError(ScenarioError):

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
+from scenarios.errors import DataTooShortError
 from scenarios.motion.beats import BeatSeries, draw_beats, read_beats
 from scenarios.motion.breath import breath_wave, draw_breath
 from scenarios.motion.config import AXES, Axis, MotionConfig
-from scenarios.motion.errors import MotionTooShortError, UnreachableForceError
+from scenarios.motion.errors import UnreachableForceError
 from scenarios.motion.pulses import SHAPES, Train, lay_lobes, sum_lobes
 from scenarios.motion.record import Array, Motion, control_instants
 
@@ -30,17 +31,24 @@ def generate(config: MotionConfig, duration: float, period: float, seed: int) ->
     """Heart motion for ``seed`` [m], its beats drawn or those of ``config.beats``.
 
     A longer run begins with the samples of a shorter one. Errors: ``UnreachableForceError``; with
-    ``config.beats`` also ``MotionFileError`` and ``MotionTooShortError``.
+    ``config.beats`` also ``DataFileError`` and ``DataTooShortError``.
     """
     # one stream a purpose: a change of one key leaves what the others draw as it was
-    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
+    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)]
     covered = max(duration, CALIBRATION_TIME) + _LOOK_AHEAD
     breath = draw_breath(
         streams[0], config.respiration_rate, config.respiration_variability, covered
     )
     calibration_time = CALIBRATION_TIME
     if config.beats is None:
-        beats = draw_beats(config, breath, covered, streams[1], streams[2])
+        beats = draw_beats(
+            config,
+            breath,
+            covered,
+            phase_rng=streams[1],
+            early_rng=streams[2],
+            spread_rng=streams[4],
+        )
     else:
         beats = _real_beats(Path(config.beats), duration)
         calibration_time = min(CALIBRATION_TIME, float(beats.times[-1]))
@@ -77,7 +85,7 @@ def _real_beats(path: Path, duration: float) -> BeatSeries:
     if duration > available:
         longest = np.floor(available * 100.0) / 100.0
         reason = f"the beats last {longest:.2f} s, the run {duration:g} s; shorten the run"
-        raise MotionTooShortError(path, available, duration, reason)
+        raise DataTooShortError(path, available, duration, reason)
     return beats
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from scenarios.motion.errors import MotionFileError, MotionTooShortError
+from scenarios.errors import DataFileError, DataTooShortError
 from scenarios.motion.record import Array, Motion, control_instants
-from scenarios.motion.table import Table, read_table
+from scenarios.table import Table, read_table
 
 _LONGEST_GAP = 0.1
 """About the length of a systole [s]: a spline across more than this could invent or hide one."""
@@ -23,8 +23,8 @@ def read_recording(path: Path, duration: float, period: float) -> Motion:
     the amplitude is left as it is. Velocity and acceleration are those of the interpolating cubic
     spline, so noise of the recording shows in them. ``duration`` and ``period`` [s].
 
-    Errors: ``MotionFileError`` for an unusable file, fewer than 4 rows, a gap above 0.1 s that is
-    also above four times the median interval, or a span above 0.2 m; ``MotionTooShortError``.
+    Errors: ``DataFileError`` for an unusable file, fewer than 4 rows, a gap above 0.1 s that is
+    also above four times the median interval, or a span above 0.2 m; ``DataTooShortError``.
     """
     table = read_table(path, ("t", "x", "y", "z"), min_rows=4)
     time = table.values[:, 0] - table.values[0, 0]
@@ -38,7 +38,7 @@ def read_recording(path: Path, duration: float, period: float) -> Motion:
             f"the recording lasts {time[-1]:.6g} s, the run {duration:.6g} s; "
             f"a run of at most {np.floor(longest * 1e3) / 1e3:.6g} s can be played"
         )
-        raise MotionTooShortError(path, longest, duration, reason)
+        raise DataTooShortError(path, longest, duration, reason)
     spline = CubicSpline(time, table.values[:, 1:])
     mean = spline.integrate(0.0, time[-1]) / time[-1]
     return Motion(
@@ -60,7 +60,7 @@ def _require_no_gap(path: Path, table: Table, time: Array) -> None:
             f"gap of {intervals[worst]:.3g} s before t = {table.values[worst + 1, 0]:.6g} s; "
             f"gaps must not exceed {limit:.3g} s here"
         )
-        raise MotionFileError(path, int(table.lines[worst + 1]), reason)
+        raise DataFileError(path, int(table.lines[worst + 1]), reason)
 
 
 def _require_metres(path: Path, table: Table) -> None:
@@ -71,4 +71,4 @@ def _require_metres(path: Path, table: Table) -> None:
             f"column {'xyz'[widest]!r} spans {spans[widest]:.3g} m; at most {_LARGEST_SPAN:g} m "
             "can be played (is it in metres?)"
         )
-        raise MotionFileError(path, None, reason)
+        raise DataFileError(path, None, reason)

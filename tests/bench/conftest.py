@@ -67,6 +67,12 @@ def call() -> Callable[..., subprocess.CompletedProcess[str]]:
 
 
 @pytest.fixture(scope="session")
+def environment() -> dict[str, str]:
+    """What a process of its own needs to find these packages."""
+    return _environment()
+
+
+@pytest.fixture(scope="session")
 def start() -> Callable[..., subprocess.Popen[str]]:
     """Start the command line as a process of its own."""
     return _start

@@ -88,9 +88,11 @@ def test_json_is_all_there_is_on_standard_output(leave, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["here"]
 
 
-@pytest.mark.parametrize("verb", ["run", "compare", "scenarios", "backends"])
+@pytest.mark.parametrize(
+    "verb", ["run", "compare", "bench", "bench latency", "bench compare", "scenarios", "backends"]
+)
 def test_every_verb_has_help_with_an_example(verb, leave):
-    code, out, _ = leave(verb, "--help")
+    code, out, _ = leave(*verb.split(), "--help")
     assert code == 0
     assert f"`pulsempc {verb}" in out
 
@@ -98,7 +100,8 @@ def test_every_verb_has_help_with_an_example(verb, leave):
 def test_the_options_of_the_issue_are_in_the_help(leave):
     out = leave("run", "--help")[1]
     for option in (
-        "--backend", "--motion", "--beats", "--duration", "--seed", "--set", "--out", "--json",
+        "--backend", "--motion", "--beats", "--setpoint", "--duration", "--seed", "--set", "--out",
+        "--json",
     ):  # fmt: skip
         assert option in out
 
@@ -106,7 +109,7 @@ def test_the_options_of_the_issue_are_in_the_help(leave):
 def test_help_lists_the_verbs(leave):
     code, out, _ = leave("--help")
     assert code == 0
-    for verb in ("run", "compare", "scenarios", "backends"):
+    for verb in ("run", "compare", "bench", "scenarios", "backends"):
         assert verb in out
 
 
@@ -228,6 +231,14 @@ BAD = {
     "seed -1": (["--seed=-1"], ["seed"]),
     "no motion": (["--motion", "none.csv"], ["none.csv", "no such file"]),
     "no beats": (["--beats", "none.csv"], ["none.csv", "no such file"]),
+    "no setpoint": (["--setpoint", "none.csv"], ["none.csv", "no such file"]),
+    "setpoint out of bounds": (
+        ["--setpoint", "far.csv", "--duration", "0.9"], ["far.csv", "controller.bounds.force.z"],
+    ),
+    "short setpoint": (["--setpoint", "beats.csv"], ["beats.csv", "no column 'x'"]),
+    "setpoint twice": (
+        ["--set", "setpoint.file=far.csv", "setpoint.z=-9.0"], ["setpoint.z", "no effect"],
+    ),
     "motion and beats": (["--motion", "far.csv", "--beats", "far.csv"], ["exclude"]),
     "nan in motion": (["--motion", "nan.csv"], ["nan.csv: line 7", "'x'"]),
     "word in motion": (["--motion", "word.csv"], ["word.csv: line 7"]),

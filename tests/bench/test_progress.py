@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 
 import pytest
 
@@ -50,3 +51,18 @@ def test_the_handler_is_put_back_after_an_exception():
     with pytest.raises(ZeroDivisionError), ctrl_c() as interrupt:
         1 / interrupt.pressed
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("own_thread", [True, False])
+def test_a_bar_without_a_thread_moves_when_it_is_told(own_thread, monkeypatch, capsys):
+    """A thread takes the interpreter from a loop that is being timed."""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    monkeypatch.setenv("TERM", "xterm")
+    before = threading.active_count()
+    with Reporter(quiet=False, own_thread=own_thread) as reporter:
+        reporter("cycles", 0, 1000)
+        assert threading.active_count() == before + own_thread
+        capsys.readouterr()
+        reporter("cycles", 500, 1000)
+        if not own_thread:
+            assert "50 %" in capsys.readouterr().err

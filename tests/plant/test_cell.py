@@ -309,6 +309,10 @@ def excited(config, make_cell, beating, drive, seed=0):
 BASE = {
     "unilateral": {"stiffness": 1e5, "enabled": False},
     "gap": {"unilateral": True, "gap": 0.002},
+    "spike_rate": {"spike_rate": 150.0},
+    "spike_size": {"spike_rate": 150.0},
+    "dropout_rate": {"dropout_rate": 100.0, "dropout_time": 0.002},
+    "dropout_time": {"dropout_rate": 100.0, "dropout_time": 0.01},
 }
 """Where a field needs more than the default for its effect: here the tool lifts off."""
 

@@ -5,14 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from plant.config import SensorConfig
 from plant.sensors import SENSORS, ForceSensor
 
+PERIOD = 1e-3
 REAL = ("nano17", "mini45")
 FORCE = np.array([1.0, 2.0, -10.0])
 
 
-def readings(model: str, n: int, seed: int = 0, force: np.ndarray = FORCE) -> np.ndarray:
-    sensor = ForceSensor(SENSORS[model], np.random.SeedSequence(seed))
+def make(model: str, seed: int = 0, period: float = PERIOD, **faults: float) -> ForceSensor:
+    return ForceSensor(SensorConfig(model, **faults), period, np.random.SeedSequence(seed))
+
+
+def readings(
+    model: str, n: int, seed: int = 0, force: np.ndarray = FORCE, **faults: float
+) -> np.ndarray:
+    sensor = make(model, seed, **faults)
     return np.array([sensor.read(force) for _ in range(n)])
 
 
@@ -51,7 +59,7 @@ def test_a_seed_is_a_stream(model):
 
 @pytest.mark.parametrize("model", [*REAL, "ideal"])
 def test_a_reading_is_an_array_of_its_own(model):
-    sensor = ForceSensor(SENSORS[model], np.random.SeedSequence(0))
+    sensor = make(model)
     force = FORCE.copy()
     reading = sensor.read(force)
     kept = reading.copy()
@@ -59,3 +67,54 @@ def test_a_reading_is_an_array_of_its_own(model):
     assert np.array_equal(reading, kept)
     reading[:] = 7.0
     assert np.array_equal(force, FORCE)
+
+
+# --- faults --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("period", [1e-3, 4e-3])
+def test_the_zero_walks_with_the_square_root_of_time(period):
+    def drift(seed):
+        sensor = make("ideal", seed, period, bias_drift=0.5)
+        return np.array([sensor.read(FORCE) for _ in range(round(4.0 / period))]) - FORCE
+
+    walks = np.array([drift(seed) for seed in range(60)])  # three axes each
+    second = round(1.0 / period)
+    steps = np.diff(walks[:, ::second], axis=1)
+    assert steps.std() == pytest.approx(0.5, rel=0.1)
+    assert walks[:, -1].std() == pytest.approx(1.0, rel=0.2)
+    assert abs(steps.mean()) < 4 * 0.5 / np.sqrt(steps.size)
+
+
+def test_spikes_are_single_readings_of_their_size_at_their_rate():
+    error = readings("ideal", 60_000, spike_rate=3.0, spike_size=7.0) - FORCE
+    struck = np.abs(error) > 1e-9
+    np.testing.assert_allclose(np.abs(error[struck]), 7.0, rtol=1e-12)
+    assert struck.sum(axis=0) / 60.0 == pytest.approx([3.0] * 3, abs=1.0)
+    assert 0.4 < (error[struck] > 0).mean() < 0.6
+    assert not struck.all(axis=1).any()  # axes by themselves
+
+
+def test_dropouts_silence_all_axes_for_their_time():
+    gone = np.isnan(readings("nano17", 60_000, dropout_rate=0.5, dropout_time=0.03))
+    assert np.array_equal(gone.any(axis=1), gone.all(axis=1))
+    edges = np.flatnonzero(np.diff(gone[:, 0].astype(int)))
+    lengths = np.diff(edges)[::2] if not gone[0, 0] else np.diff(edges)[1::2]
+    assert lengths.size > 10
+    assert set(lengths[lengths < 31]) == {30}  # one may begin while another lasts
+    assert gone[:, 0].mean() == pytest.approx(0.5 * 0.03, rel=0.5)
+
+
+def test_a_fault_leaves_the_noise_as_it_was():
+    clean = readings("nano17", 3000)
+    faulty = readings("nano17", 3000, spike_rate=5.0, dropout_rate=2.0, bias_drift=1e-9)
+    same = np.abs(faulty - clean) < 1e-6
+    assert (same | np.isnan(faulty) | (np.abs(faulty - clean) > 4.9)).all()
+    assert 0.5 < same.mean() < 1.0
+
+
+def test_faults_are_the_same_for_the_same_seed():
+    faults = {"spike_rate": 5.0, "dropout_rate": 2.0, "bias_drift": 0.1}
+    first, again, other = (readings("nano17", 3000, seed, **faults) for seed in (1, 1, 2))
+    assert np.array_equal(first, again, equal_nan=True)
+    assert not np.array_equal(np.isnan(first), np.isnan(other))

@@ -24,7 +24,7 @@ from scenarios import (
 )
 from scenarios.motion import MotionConfig
 
-NAMES = ("constrained", "ecg", "ideal", "paper", "paper-1d", "paper-law")
+NAMES = ("constrained", "ecg", "ideal", "latency", "paper", "paper-1d", "paper-law")
 
 
 def refusal(*arguments, kind=ScenarioError, **named) -> str:
@@ -217,6 +217,23 @@ WRONG = [
     ("setpoint.steps = [{time = 0.0, x = 1.0}]", "setpoint.steps.0.time"),
     ("setpoint.steps = [{x = 1.0}]", "setpoint.steps.0.time"),
     ("motion.heart_rate = 10.0", "motion.heart_rate"),
+    ("motion.rate_irregularity = 0.6", "motion.rate_irregularity"),
+    ("motion.rate_steps = [{time = 1.0, rate = 9.0}]", "motion.rate_steps.0.rate"),
+    (
+        "motion.rate_steps = [{time = 2.0, rate = 1.0}, {time = 1.0, rate = 2.0}]",
+        "motion.rate_steps",
+    ),
+    ("cell.sensor.spike_rate = -1.0", "cell.sensor.spike_rate"),
+    ("cell.sensor.dropout_time = 0.0", "cell.sensor.dropout_time"),
+    ("setpoint.steps = [{time = 1.0, x = 1.0, ramp = -1.0}]", "setpoint.steps.0.ramp"),
+    ('setpoint = {file = "a.csv", steps = [{time = 1.0, x = 1.0}]}', "setpoint.steps"),
+    ('setpoint = {file = "a.csv", z = -9.0}', "setpoint.z"),
+    ("setpoint.live = {port = 80}", "setpoint.live.port"),
+    ("setpoint.live = {}", "setpoint.live.port"),
+    ("setpoint.live = {port = 5005, prot = 1}", "setpoint.live.prot"),
+    ("setpoint.live = {port = 5005, largest_rate = 0.0}", "setpoint.live.largest_rate"),
+    ('setpoint = {live = {port = 5005}, file = "a.csv"}', "setpoint.file"),
+    ("setpoint = {live = {port = 5005}, steps = [{time = 1.0, x = 1.0}]}", "setpoint.steps"),
     # no number, and infinity where there is no bound
     ("duration = nan", "duration"),
     ("duration = inf", "duration"),

@@ -59,9 +59,9 @@ def summary(complete):
 
 def test_every_stable_key_is_there(summary):
     assert {
-        "scenario", "backend", "seed", "cycles", "axes", "paper", "timing", "saturation", "status",
-        "source", "violations", "increment_rms", "complete", "stopped", "versions", "trip",
-        "counted", "force_peak", "physics",
+        "scenario", "backend", "backend_facts", "seed", "cycles", "axes", "paper", "timing",
+        "saturation", "status", "source", "violations", "increment_rms", "complete", "stopped",
+        "versions", "trip", "counted", "force_peak", "physics",
     } <= set(summary)  # fmt: skip
     assert set(summary["axes"]) == {"x", "y", "z"}
     for figures in summary["axes"].values():

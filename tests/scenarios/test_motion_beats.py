@@ -9,10 +9,11 @@ import pytest
 import scenarios
 from scenarios import load_scenario
 from scenarios.motion import (
+    DataFileError,
+    DataTooShortError,
     Motion,
     MotionConfig,
-    MotionFileError,
-    MotionTooShortError,
+    RateStep,
     load_motion,
 )
 from scenarios.motion.beats import read_beats
@@ -66,6 +67,36 @@ def test_the_fast_wave_follows_the_breath() -> None:
     time = motion.beats[:-1]
     waves = np.array([np.abs(np.exp(-2j * np.pi * f * time) @ (rate - 1.2)) for f in (0.1, 0.25)])
     assert waves[1] > 5.0 * waves[0]
+
+
+def test_the_rate_steps_from_the_first_beat_after_the_time() -> None:
+    steps = (RateStep(10.0, 2.0), RateStep(20.0, 0.8))
+    beats = heart(30.0, rate_steps=steps, **STEADY).beats
+    intervals = np.diff(beats)
+    before = beats[:-1]
+    np.testing.assert_allclose(intervals[before < 10.0], 1.0 / 1.2, rtol=1e-9)
+    between = (before >= 10.0) & (before < 20.0)
+    np.testing.assert_allclose(intervals[between], 0.5, rtol=1e-9)
+    np.testing.assert_allclose(intervals[before >= 20.0], 1.25, rtol=1e-9)
+    assert between.sum() > 15
+    calm = heart(30.0, **STEADY).beats
+    assert np.array_equal(beats[beats < 10.0], calm[calm < 10.0])
+
+
+def test_irregular_intervals_spread_by_themselves() -> None:
+    intervals = np.diff(heart(400.0, rate_irregularity=0.3, **STEADY).beats) * 1.2
+    assert 0.7 <= intervals.min() < 0.72
+    assert 1.28 < intervals.max() <= 1.3
+    assert intervals.std() == pytest.approx(0.3 / np.sqrt(3.0), rel=0.05)
+    assert abs(np.corrcoef(intervals[1:], intervals[:-1])[0, 1]) < 0.12  # no memory
+
+
+def test_without_breath_only_the_beats_move_the_tissue() -> None:
+    keys = STEADY | {"respiration_excursion": 0.0, "breath_modulation": 0.0}
+    motion = heart(60.0, **keys)
+    found = excursions(motion)[1:]
+    np.testing.assert_allclose(found, found[0], rtol=1e-3)
+    assert np.ptp(excursions(heart(60.0, **STEADY))) > 0.05 * found[0]
 
 
 def test_early_beats_come_at_their_probability_with_a_compensatory_pause() -> None:
@@ -122,7 +153,7 @@ def test_systole_shortens_less_than_the_interval(tmp_path: Path) -> None:
 
 
 def test_real_beats_too_short_for_the_run() -> None:
-    with pytest.raises(MotionTooShortError, match=r"41\.77 s.*60 s") as caught:
+    with pytest.raises(DataTooShortError, match=r"41\.77 s.*60 s") as caught:
         heart(60.0, beats=str(REAL_BEATS))
     assert caught.value.requested == 60.0
     assert caught.value.available == pytest.approx(41.775, abs=1e-3)
@@ -150,7 +181,7 @@ def test_a_series_shorter_than_the_calibration_still_hits_the_targets(tmp_path: 
 def test_bad_beat_files(tmp_path: Path, text: str, line: int | None, words: str) -> None:
     path = tmp_path / "beats.csv"
     path.write_text(text)
-    with pytest.raises(MotionFileError, match=words) as caught:
+    with pytest.raises(DataFileError, match=words) as caught:
         heart(1.0, beats=str(path))
     assert caught.value.line == line
     assert caught.value.path == path

@@ -1,6 +1,5 @@
 """Recorded motion from CSV: what is read, how it is resampled, and every file that is refused."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,10 @@ from hypothesis import strategies as st
 
 from scenarios.errors import ScenarioError
 from scenarios.motion import (
+    DataFileError,
+    DataTooShortError,
     Motion,
     MotionConfig,
-    MotionFileError,
-    MotionTooShortError,
     load_motion,
 )
 
@@ -166,7 +165,7 @@ def test_bad_files_name_file_line_and_remedy(
 ) -> None:
     path = tmp_path / "m.csv"
     path.write_text(text)
-    with pytest.raises(MotionFileError, match=words) as caught:
+    with pytest.raises(DataFileError, match=words) as caught:
         play(path, 0.02)
     error = caught.value
     assert isinstance(error, ScenarioError)
@@ -183,24 +182,24 @@ def test_bad_files_name_file_line_and_remedy(
 def test_binary_files(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "m.csv"
     path.write_bytes(content)
-    with pytest.raises(MotionFileError, match="not text in UTF-8; name a CSV file"):
+    with pytest.raises(DataFileError, match="not text in UTF-8; name a CSV file"):
         play(path, 1.0)
 
 
 def test_missing_file_and_directory(tmp_path: Path) -> None:
-    with pytest.raises(MotionFileError, match="no such file"):
+    with pytest.raises(DataFileError, match="no such file"):
         play(tmp_path / "none.csv", 1.0)
-    with pytest.raises(MotionFileError, match="is a directory"):
+    with pytest.raises(DataFileError, match="is a directory"):
         play(tmp_path, 1.0)
     (tmp_path / "plain").write_text("")
-    with pytest.raises(MotionFileError, match="cannot be read: Not a directory"):
+    with pytest.raises(DataFileError, match="cannot be read: Not a directory"):
         play(tmp_path / "plain" / "m.csv", 1.0)
 
 
 def test_a_recording_shorter_than_the_run(tmp_path: Path) -> None:
     t = np.arange(0.0, 2.0, 0.004)
     path = write(tmp_path / "m.csv", t, wave(t))
-    with pytest.raises(MotionTooShortError, match=r"lasts 1\.996 s, the run 2 s.* 1\.99") as caught:
+    with pytest.raises(DataTooShortError, match=r"lasts 1\.996 s, the run 2 s.* 1\.99") as caught:
         play(path, 2.0)
     assert caught.value.requested == 2.0
     assert caught.value.available == pytest.approx(1.997)
@@ -212,12 +211,12 @@ def test_slow_recordings_have_no_gaps(tmp_path: Path) -> None:
     assert play(write(tmp_path / "m.csv", t, 1e-3 * wave(t)), 19.0).time.size == 19000
 
 
-def test_reading_100_000_rows_is_quick(tmp_path: Path) -> None:
+def test_100_000_rows_are_read(tmp_path: Path) -> None:
     t = np.arange(100_000) * 1e-3
-    path = write(tmp_path / "m.csv", t, wave(t))
-    start = time.perf_counter()
-    play(path, 99.0)
-    assert time.perf_counter() - start < 3.0  # about half a second; room for a busy machine
+    position = wave(t)
+    motion = play(write(tmp_path / "m.csv", t, position), 99.0)
+    expected = position[:99_000] - position.mean(axis=0)
+    np.testing.assert_allclose(motion.position, expected, atol=1e-6)
 
 
 metres = st.floats(-0.09, 0.09)

@@ -248,6 +248,6 @@ def test_every_key_is_covered_by_these_tests() -> None:
         *("heart_rate", "rate_variability_lf", "rate_variability_hf", "early_beat_probability"),
         *("respiration_rate", "respiration_variability", "respiration_excursion"),
         *("breath_modulation", "force_rms", "force_peak_to_peak", "reference_stiffness", "axes"),
-        *("beats", "file"),
+        *("beats", "file", "rate_steps", "rate_irregularity"),
     }
     assert {field.name for field in fields(MotionConfig)} == known

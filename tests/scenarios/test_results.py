@@ -88,6 +88,24 @@ def test_the_folder_needs_no_file_from_elsewhere(twins):
         assert (twins[1] / line.split('"')[1]).is_file()
 
 
+def test_a_recorded_setpoint_goes_with_the_folder(tmp_path):
+    wish = tmp_path / "wish.csv"
+    wish.write_text("t,x,y,z\n0,1,2,-10\n0.02,1,2,-10\n0.04,0,2,-11\n")
+    first = simulate("paper", tmp_path / "a", top={"duration": 0.04}, setpoint=wish)
+    wish.unlink()
+    again = simulate(tmp_path / "a" / "config.toml", tmp_path / "b")
+    assert repeatable(first) == repeatable(again)
+    asked = pq.read_table(tmp_path / "b" / "log.parquet")["setpoint_z"].to_numpy()
+    assert asked[[0, 20, 30]] == pytest.approx([-10.0, -10.0, -10.5])
+
+
+def test_a_recorded_setpoint_is_held_to_the_bounds_on_force(tmp_path):
+    wish = tmp_path / "wish.csv"
+    wish.write_text("t,x,y,z\n0,1,2,-10\n0.02,1,2,-30\n")
+    with pytest.raises(ScenarioError, match=r"wish\.csv: z is -21 N at 0.011 s, outside"):
+        simulate("paper", tmp_path / "a", top={"duration": 0.02}, setpoint=wish)
+
+
 def test_another_seed_is_another_run(tmp_path):
     runs = [
         simulate("paper", tmp_path / str(seed), top={"duration": 0.03, "seed": seed})

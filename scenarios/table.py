@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.motion.errors import MotionFileError
-from scenarios.motion.record import Array
+from scenarios.errors import DataFileError
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,11 @@ def read_table(path: Path, columns: tuple[str, ...], min_rows: int) -> Table:
     """Read ``columns`` (by the names in the header; others are ignored) of a CSV file.
 
     Lines that start with ``#`` and empty lines are skipped. A byte order mark and any kind of line
-    end are fine. The first of ``columns`` must strictly increase. Errors: ``MotionFileError``.
+    end are fine. The first of ``columns`` must strictly increase. Errors: ``DataFileError``.
     """
     numbers, lines = _content(path)
     if not lines:
-        raise MotionFileError(path, None, f"no data; expected a header {','.join(columns)}")
+        raise DataFileError(path, None, f"no data; expected a header {','.join(columns)}")
     reader = csv.reader(lines, strict=True)
     rows: list[list[float]] = []
     places: list[int] = []
@@ -41,7 +42,7 @@ def read_table(path: Path, columns: tuple[str, ...], min_rows: int) -> Table:
             line = numbers[reader.line_num - 1]
             if len(cells) != len(header):
                 reason = f"{len(cells)} cells, the header has {len(header)} (decimals need a point)"
-                raise MotionFileError(path, line, reason)
+                raise DataFileError(path, line, reason)
             rows.append(
                 [
                     _number(path, line, name, cells[i])
@@ -50,10 +51,10 @@ def read_table(path: Path, columns: tuple[str, ...], min_rows: int) -> Table:
             )
             places.append(line)
     except csv.Error as error:
-        raise MotionFileError(path, numbers[reader.line_num - 1], f"not CSV: {error}") from None
+        raise DataFileError(path, numbers[reader.line_num - 1], f"not CSV: {error}") from None
     if len(rows) < min_rows:
         reason = f"{len(rows)} rows of numbers; at least {min_rows} are needed"
-        raise MotionFileError(path, None, reason)
+        raise DataFileError(path, None, reason)
     table = Table(np.array(rows), np.array(places))
     _require_increasing(path, table, columns[0])
     return table
@@ -64,17 +65,17 @@ def _content(path: Path) -> tuple[list[int], list[str]]:
     try:
         raw = path.read_bytes()
     except FileNotFoundError:
-        raise MotionFileError(path, None, "no such file; name an existing CSV file") from None
+        raise DataFileError(path, None, "no such file; name an existing CSV file") from None
     except IsADirectoryError:
-        raise MotionFileError(path, None, "is a directory; name a CSV file") from None
+        raise DataFileError(path, None, "is a directory; name a CSV file") from None
     except OSError as error:
-        raise MotionFileError(path, None, f"cannot be read: {error.strerror}") from None
+        raise DataFileError(path, None, f"cannot be read: {error.strerror}") from None
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
-        raise MotionFileError(path, None, "is not text in UTF-8; name a CSV file")
+        raise DataFileError(path, None, "is not text in UTF-8; name a CSV file")
     # not splitlines: it also splits at characters that are no line ends in CSV
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     kept = [
@@ -92,7 +93,7 @@ def _indices(path: Path, line: int, header: list[str], columns: tuple[str, ...])
             found = "no" if name not in header else "more than one"
             shown = ",".join(header)[:60]
             reason = f"{found} column {name!r} in the header {shown!r}; expected {wanted}"
-            raise MotionFileError(path, line, reason)
+            raise DataFileError(path, line, reason)
     return [header.index(name) for name in columns]
 
 
@@ -106,7 +107,7 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
         reason = (
             f"column {column!r} is {cell.strip()[:30]!r}; expected a finite number such as 1e-3"
         )
-        raise MotionFileError(path, line, reason)
+        raise DataFileError(path, line, reason)
     return value
 
 
@@ -119,4 +120,4 @@ def _require_increasing(path: Path, table: Table, column: str) -> None:
             f"{column} = {time[row]:.9g} after {time[row - 1]:.9g}; "
             f"{column} must increase from row to row"
         )
-        raise MotionFileError(path, int(table.lines[row]), reason)
+        raise DataFileError(path, int(table.lines[row]), reason)
