@@ -142,6 +142,7 @@ def summary(**changes):
             "real_time_factor": {"compensated": 2.5, "uncompensated": None},
         },
         "cycles": 1000,
+        "live_setpoint": None,
         "saturation": {"torque": 0.0, "command": 0.125},
         "status": {"solved": 1000},
         "source": SOLVED,
