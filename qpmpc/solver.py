@@ -95,12 +95,12 @@ class Solver:
         self.qp, self.backend_name = qp, kind.name
         self._heeds_rows = kind.heeds_rows
         self._again = kind.warm_starts
-        self._scaling = Scaling(qp, groups)
+        self.kind, self.limits, self.scaling = kind, limits, Scaling(qp, groups)
         if limits.time and self._again:  # a second attempt must find half of the time left
             limits = replace(limits, time=limits.time / 2)
         self._parts = Parts(
             kind,
-            self._scaling.qp,
+            self.scaling.qp,
             limits,
             patterns=(qp.P != 0, qp.A != 0 if pattern is None else pattern),
             smallest=smallest_part,
@@ -108,9 +108,9 @@ class Solver:
             if parameters is not None and kind.takes_parameters
             else None,
         )
-        self._check = Check(qp, self._scaling, TOLERANCE)
+        self._check = Check(qp, self.scaling, TOLERANCE)
         self._x, self._y, self._room = np.zeros(qp.n), np.zeros(qp.m), np.zeros(qp.m)
-        self._to_y = self._scaling.E / self._scaling.c
+        self._to_y = self.scaling.E / self.scaling.c
 
     @property
     def parts(self) -> int:
@@ -120,7 +120,7 @@ class Solver:
     def replace_rows(self, A: Array) -> None:
         """Take other rows ``(m, n)`` from the next solve on; penalties and their scale stay."""
         self._check.replace_rows(A)
-        self._parts.replace_rows(self._scaling.rows(A))
+        self._parts.replace_rows(self.scaling.rows(A))
 
     def forget(self) -> None:
         """Let the next solve start from nothing, where the backend starts from the last one."""
@@ -147,7 +147,7 @@ class Solver:
         refusal = self._refusal(q, l, u)
         if refusal is not None:
             return self._failure(refusal, 0, perf_counter() - begin, 0.0, 0.0)
-        self._scaling.update(q, l, u)
+        self.scaling.update(q, l, u)
         ready = perf_counter()
         status, residuals, iterations, built, spent = self._attempt(q, l, u)
         if status in _DOUBTFUL and self._again:
@@ -183,7 +183,7 @@ class Solver:
         u: Array,
     ) -> tuple[Status, Residuals, int, float, float]:
         """Let the backend solve, bring its answer into the QP's units, and judge it."""
-        scaling = self._scaling
+        scaling = self.scaling
         begin = perf_counter()
         raw = self._parts.solve(scaling.q, scaling.l, scaling.u)
         spent = perf_counter() - begin - raw.build_time

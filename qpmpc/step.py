@@ -1,0 +1,153 @@
+"""The record of one cycle of a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from qpmpc.arrays import Array
+from qpmpc.fallback import Source
+from qpmpc.residuals import Residuals
+from qpmpc.status import Status
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """Where a step's time went [s]."""
+
+    update: float
+    """Observer, reference, vectors of the QP and their scaling."""
+    build: float
+    """Bringing new rows into the solver, and what a backend that cannot be updated takes to build
+    its problem anew; 0 otherwise."""
+    solve: float
+    """The backend without that."""
+    step: float
+    """The whole step, from measurement to command."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one cycle decided and how. Arrays are the step's own."""
+
+    status: Status
+    """How the solve ended."""
+    source: Source
+    """Where the command came from: the solve, or what stood in for it."""
+    command: Array
+    """u(k), to be applied now, ``(n_inputs,)``."""
+    decision: Array
+    """Increments Delta u(k) ... (absolute commands where so configured), ``(N_u, n_inputs)``."""
+    predicted: Array
+    """Outputs y(k+1) ... y(k+N) under the decision, ``(N, n_outputs)``."""
+    violation: Array
+    """What each row of the QP gave way, in its own unit, ``(m,)``."""
+    rows: Mapping[str, slice]
+    """Where each bound's rows are."""
+    residuals: Residuals
+    iterations: int
+    times: Times
+
+    @property
+    def slack(self) -> dict[str, Array]:
+        """Violation by the plan of every bound that has rows, by its name, in its unit."""
+        return {name: self.violation[rows] for name, rows in self.rows.items()}
+
+    def __repr__(self) -> str:
+        return (
+            f"Step({self.status}, command={np.array2string(self.command, precision=4)}, "
+            f"{self.times.step * 1e6:.0f} us)"
+        )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the parts of a step are in the one array that a compiled step leaves behind."""
+
+    rows: Mapping[str, slice]
+    command: slice
+    decision: tuple[slice, tuple[int, int]]
+    predicted: tuple[slice, tuple[int, int]]
+    violation: slice
+
+    @classmethod
+    def of(
+        cls, rows: Mapping[str, slice], moves: int, n_inputs: int, horizon: int, n_outputs: int, m: int
+    ) -> Layout:
+        """Lay out a step of these sizes: command, decision, predicted, violation, four residuals
+        (primal, dual, gap, scaled), times of update and solve."""
+        at = np.cumsum([0, n_inputs, moves * n_inputs, horizon * n_outputs, m]).tolist()
+        parts = [slice(*ends) for ends in zip(at[:-1], at[1:], strict=True)]
+        shapes = (moves, n_inputs), (horizon, n_outputs)
+        return cls(rows, parts[0], (parts[1], shapes[0]), (parts[2], shapes[1]), parts[3])
+
+
+_set = object.__setattr__
+
+
+class CompiledRecord(Step):
+    """A `Step` in one array of its own; a part becomes an array when it is looked at."""
+
+    __slots__ = ("_iterations", "_layout", "_status", "_took", "_values")
+
+    def __init__(
+        self, status: Status, values: Array, layout: Layout, iterations: int, took: float
+    ) -> None:
+        """Keep what a compiled step left behind.
+
+        Args:
+            status: how the solve ended.
+            values: all numbers, see `Layout`; the record's own.
+            layout: of ``values``.
+            iterations: of the solver. took: the whole step [s].
+        """
+        _set(self, "_status", status)
+        _set(self, "_values", values)
+        _set(self, "_layout", layout)
+        _set(self, "_iterations", iterations)
+        _set(self, "_took", took)
+
+    @property
+    def status(self) -> Status:
+        return self._status
+
+    @property
+    def source(self) -> Source:
+        return Source.SOLUTION
+
+    @property
+    def command(self) -> Array:
+        return self._values[self._layout.command]
+
+    @property
+    def decision(self) -> Array:
+        where, shape = self._layout.decision
+        return self._values[where].reshape(shape)
+
+    @property
+    def predicted(self) -> Array:
+        where, shape = self._layout.predicted
+        return self._values[where].reshape(shape)
+
+    @property
+    def violation(self) -> Array:
+        return self._values[self._layout.violation]
+
+    @property
+    def rows(self) -> Mapping[str, slice]:
+        return self._layout.rows
+
+    @property
+    def residuals(self) -> Residuals:
+        return Residuals(*self._values[-6:-2].tolist())
+
+    @property
+    def iterations(self) -> int:
+        return self._iterations
+
+    @property
+    def times(self) -> Times:
+        update, solve = self._values[-2:].tolist()
+        return Times(update, 0.0, solve, self._took)
