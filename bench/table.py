@@ -38,6 +38,16 @@ def force_table(summary: Summary) -> Table:
     return table
 
 
+def compiled_line(compiled: Summary) -> str:
+    """Which path the steps took."""
+    if not compiled["used"]:
+        return f"step: interpreted ({compiled['reason']})"
+    handed = compiled["interpreted_cycles"]
+    return "step: compiled" + (
+        f", {handed} cycles handed to the interpreted path" if handed else ""
+    )
+
+
 def timing_lines(summary: Summary) -> list[str]:
     """What the run cost and how it went, in a few lines."""
     timing, saturation = summary["timing"], summary["saturation"]
@@ -56,6 +66,7 @@ def timing_lines(summary: Summary) -> list[str]:
         f"saturated cycles: torque {_number(saturation['torque'], '.2%')}, "
         f"command {_number(saturation['command'], '.2%')}; status: " + _counts(summary["status"])
     )
+    lines.append(compiled_line(summary["compiled"]))
     fallbacks = {name: n for name, n in summary["source"].items() if name != "solution"}
     if any(fallbacks.values()):
         lines.append(f"cycles without a usable answer, command from: {_counts(fallbacks)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Literal, cast, get_args
 
@@ -28,6 +29,18 @@ Compiled = Literal["auto", "on", "off"]
 
 _CLIP_TOLERANCE = 1e-6
 """Share of the room between the bounds that a solver's tolerance may cost without a word."""
+
+
+@dataclass(frozen=True)
+class Compilation:
+    """Which path a controller's cycles take."""
+
+    used: bool
+    """Whether there is a compiled step."""
+    reason: str | None
+    """Why there is none; None where there is."""
+    interpreted_cycles: int
+    """Cycles that the compiled step handed over to the interpreted one."""
 
 
 class Controller:
@@ -99,14 +112,19 @@ class Controller:
         self._prepared = np.ones(1, dtype=np.int64)
         self.command = np.zeros(n_u)
         """The command of the last step, u(k-1) of the next one, ``(n_inputs,)``."""
-        self._layout = Layout.of(problem.rows, problem.moves, n_u, *self._shape, problem.qp.m)
+        self._layout = Layout.of(problem.rows, (problem.moves, n_u), self._shape, problem.qp.m)
         self.compiled: CompiledStep | None = None
         """The compiled step, where there is one; its `step` is for those who need no record."""
-        self.not_compiled: str | None = "switched off"
-        """Why there is none, or None."""
+        self._reason: str | None = "switched off"
         if compiled != "off":
             self._compile(required=compiled == "on")
         self.reset(observer.state.copy())
+
+    @property
+    def compilation(self) -> Compilation:
+        """Whether there is a compiled step, why not, and how often it handed a cycle over."""
+        handed = self.compiled.interpreted if self.compiled is not None else 0
+        return Compilation(self.compiled is not None, self._reason, handed)
 
     def reset(self, state: ArrayLike = 0.0, command: ArrayLike = 0.0) -> None:
         """Start anew from a state estimate ``(n,)`` and the command applied so far."""
@@ -233,25 +251,29 @@ class Controller:
         Raises:
             CompiledStepError: there is none, and it is required.
         """
-        solver = self.solver
-        form = vars(solver.kind).get("compiled")  # not inherited: what a subclass changes is not in it
+        solver, qp = self.solver, self.problem.qp
+        form = vars(solver.kind).get(
+            "compiled"
+        )  # not inherited: what a subclass changes is not in it
         whole = Whole(self.problem, self.observer, solver.scaling)
-        self.not_compiled = obstacle(form, whole, self.reference, solver.limits.time)
-        if self.not_compiled is None and form is not None:
+        self._reason = obstacle(form, whole, self.reference, solver.limits.time)
+        if self._reason is None and form is not None:
             try:
                 self.compiled = CompiledStep(
-                    form, whole, cast(ExponentialReference, self.reference), self._fallback,
-                    self.command, self._prepared,
-                    iterations=form.iterations(
-                        solver.limits.iterations, self.problem.qp.n + self.problem.qp.m
-                    ),
+                    form,
+                    whole,
+                    reference=cast(ExponentialReference, self.reference),
+                    fallback=self._fallback,
+                    command=self.command,
+                    prepared=self._prepared,
+                    iterations=form.iterations(solver.limits.iterations, qp.n + qp.m),
                     interpret=self._hand_over,
                     figures={"TOLERANCE": TOLERANCE, "CLIP_TOLERANCE": _CLIP_TOLERANCE},
-                )  # fmt: skip
+                )
             except QpmpcError as error:
-                self.not_compiled = str(error)
-        if required and self.not_compiled is not None:
-            raise CompiledStepError(self.not_compiled)
+                self._reason = str(error)
+        if required and self._reason is not None:
+            raise CompiledStepError(self._reason)
 
     def _clip(self, status: Status, command: Array) -> tuple[Status, Array]:
         """Clip a command to its bounds; say so where that is more than a solver's tolerance."""

@@ -164,9 +164,7 @@ class Problem:
     @property
     def present(self) -> Present:
         """The memory that holds the bounds as they are now."""
-        return Present(
-            self._l0, self._u0, *self._first[CommandBound], *self._first[RateBound]
-        )
+        return Present(self._l0, self._u0, *self._first[CommandBound], *self._first[RateBound])
 
     @property
     def mapped(self) -> list[str]:

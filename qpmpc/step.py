@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,23 +75,31 @@ class Layout:
 
     @classmethod
     def of(
-        cls, rows: Mapping[str, slice], moves: int, n_inputs: int, horizon: int, n_outputs: int, m: int
+        cls,
+        rows: Mapping[str, slice],
+        decision: tuple[int, int],
+        predicted: tuple[int, int],
+        m: int,
     ) -> Layout:
-        """Lay out a step of these sizes: command, decision, predicted, violation, four residuals
-        (primal, dual, gap, scaled), times of update and solve."""
-        at = np.cumsum([0, n_inputs, moves * n_inputs, horizon * n_outputs, m]).tolist()
-        parts = [slice(*ends) for ends in zip(at[:-1], at[1:], strict=True)]
-        shapes = (moves, n_inputs), (horizon, n_outputs)
-        return cls(rows, parts[0], (parts[1], shapes[0]), (parts[2], shapes[1]), parts[3])
+        """Lay out a step whose decision and prediction have these shapes, with ``m`` rows.
 
-
-_set = object.__setattr__
+        Command, decision, predicted, violation; behind them the four residuals (primal, dual, gap,
+        scaled) and the times of update and solve.
+        """
+        sizes = [0, decision[1], decision[0] * decision[1], predicted[0] * predicted[1], m]
+        parts = [slice(*ends) for ends in pairwise(np.cumsum(sizes).tolist())]
+        return cls(rows, parts[0], (parts[1], decision), (parts[2], predicted), parts[3])
 
 
 class CompiledRecord(Step):
     """A `Step` in one array of its own; a part becomes an array when it is looked at."""
 
     __slots__ = ("_iterations", "_layout", "_status", "_took", "_values")
+    _status: Status
+    _values: Array
+    _layout: Layout
+    _iterations: int
+    _took: float
 
     def __init__(
         self, status: Status, values: Array, layout: Layout, iterations: int, took: float
@@ -101,53 +110,68 @@ class CompiledRecord(Step):
             status: how the solve ended.
             values: all numbers, see `Layout`; the record's own.
             layout: of ``values``.
-            iterations: of the solver. took: the whole step [s].
+            iterations: of the solver.
+            took: the whole step [s].
         """
-        _set(self, "_status", status)
-        _set(self, "_values", values)
-        _set(self, "_layout", layout)
-        _set(self, "_iterations", iterations)
-        _set(self, "_took", took)
+        _keep(self, "_status", status)
+        _keep(self, "_values", values)
+        _keep(self, "_layout", layout)
+        _keep(self, "_iterations", iterations)
+        _keep(self, "_took", took)
 
     @property
     def status(self) -> Status:
+        """See `Step`."""
         return self._status
 
     @property
     def source(self) -> Source:
+        """See `Step`."""
         return Source.SOLUTION
 
     @property
     def command(self) -> Array:
+        """See `Step`."""
         return self._values[self._layout.command]
 
     @property
     def decision(self) -> Array:
+        """See `Step`."""
         where, shape = self._layout.decision
         return self._values[where].reshape(shape)
 
     @property
     def predicted(self) -> Array:
+        """See `Step`."""
         where, shape = self._layout.predicted
         return self._values[where].reshape(shape)
 
     @property
     def violation(self) -> Array:
+        """See `Step`."""
         return self._values[self._layout.violation]
 
     @property
     def rows(self) -> Mapping[str, slice]:
+        """See `Step`."""
         return self._layout.rows
 
     @property
     def residuals(self) -> Residuals:
+        """See `Step`."""
         return Residuals(*self._values[-6:-2].tolist())
 
     @property
     def iterations(self) -> int:
+        """See `Step`."""
         return self._iterations
 
     @property
     def times(self) -> Times:
+        """See `Step`."""
         update, solve = self._values[-2:].tolist()
         return Times(update, 0.0, solve, self._took)
+
+
+_keep = object.__setattr__
+"""A `Step` is frozen."""

@@ -1,7 +1,7 @@
 """One experiment: the run under control, and the same motion on a tool that is held still."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from plant.cell import Cell, heart_programme
 from plant.errors import UnstableSimulationError
 from qpmpc.backends import Fact, backend_class
+from qpmpc.controller import Compilation
 from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
 from scenarios.consistency import band
@@ -58,6 +59,8 @@ class Experiment:
     """What came of a setpoint that was sent, see `scenarios.live.Counts`; None without one."""
     backend_facts: Sequence[Mapping[str, Fact]] = ()
     """What the backend told of itself, one entry for each problem that it solved a cycle."""
+    compilation: Compilation = field(default_factory=lambda: Compilation(False, "not run", 0))
+    """Whether the controller's step was compiled."""
 
 
 def assemble(scenario: Scenario, report: Report) -> Assembly:
@@ -209,6 +212,7 @@ def run_experiment(
         },
         made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
         made.controller.general.solver.facts(),
+        made.controller.general.compilation,
     )
 
 

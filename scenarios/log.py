@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from plant.interface import Measurement, Truth
-from qpmpc.controller import Step
 from qpmpc.fallback import Source
 from qpmpc.status import Status
 from scenarios.live import Source as SetpointSource
+from qpmpc.step import Step
 from scenarios.motion import Axis
 
 Array = NDArray[np.float64]

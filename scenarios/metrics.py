@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import platform
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,7 @@ def summarise(experiment: Experiment) -> Summary:
         "status": log.status_counts(),
         "source": log.source_counts(),
         "live_setpoint": experiment.live,
+        "compiled": asdict(experiment.compilation),
         "versions": versions(),
     }
 

@@ -4,6 +4,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
+from qpmpc.controller import Compiled
 from scenarios import Scenario, load_scenario
 
 FAILED = 1
@@ -26,17 +27,20 @@ class Asked(Protocol):
     def seed(self) -> int | None: ...
     @property
     def set(self) -> tuple[str, ...]: ...
+    @property
+    def compiled(self) -> Compiled | None: ...
 
 
 def load(asked: Asked, **top: str | None) -> Scenario:
     keys = {"duration": asked.duration, "seed": asked.seed, **top}
+    chosen = (f"controller.solver.compiled={asked.compiled}",) if asked.compiled else ()
     return load_scenario(
         asked.scenario,
         top={key: value for key, value in keys.items() if value is not None},
         motion=asked.motion,
         beats=asked.beats,
         setpoint=asked.setpoint,
-        settings=asked.set,
+        settings=(*asked.set, *chosen),
     )
 
 

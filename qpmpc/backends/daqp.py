@@ -58,8 +58,13 @@ class DaqpBackend(Backend):
     warm_starts: ClassVar[bool] = True
     replaces_rows: ClassVar[bool] = True
     compiled: ClassVar[CompiledForm | None] = DaqpForm(
-        primal_tol=_PRIMAL, rounding=_ROUNDING, far=_FAR, iterations=_ITERATIONS,
-        each=_EACH, flat=_FLAT, least=_LEAST,
+        primal_tol=_PRIMAL,
+        rounding=_ROUNDING,
+        far=_FAR,
+        iterations=_ITERATIONS,
+        each=_EACH,
+        flat=_FLAT,
+        least=_LEAST,
     )
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 

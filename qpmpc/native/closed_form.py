@@ -44,7 +44,7 @@ class ClosedForm:
 
     def constants(self, group: Group) -> Sequence[Field]:
         """Return the gain from the scaled gradient to the decision."""
-        return [columns("closed", -group.T @ np.linalg.inv(group.scaled_hessian))]
+        return [columns("closed", -group.back @ np.linalg.inv(group.scaled_hessian))]
 
     def verify(self, library: Library, functions: Functions) -> None:
         """Nothing is called."""

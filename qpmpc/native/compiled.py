@@ -6,6 +6,7 @@ import ctypes
 import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from qpmpc.native.pack import aligned
 from qpmpc.native.source import write
 from qpmpc.native.toolchain import compile_library
 from qpmpc.observer import KalmanObserver
-from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference
 
 _MOST = 4_000_000
@@ -49,21 +49,20 @@ def obstacle(
     form: CompiledForm | None, whole: Whole, reference: object, limit_of_time: float | None
 ) -> str | None:
     """Return why a controller cannot have a compiled step, or None where it can."""
-    problem = whole.problem
+    problem, observer = whole.problem, whole.observer
     entries = problem.qp.n * (3 * problem.qp.m + 2 * problem.qp.n + 3 * problem.free.size)
     if form is None:
         return "the backend has no compiled form"
-    if type(whole.observer) is not KalmanObserver:
-        return f"the observer is a {type(whole.observer).__name__}, not a KalmanObserver"
-    if type(reference) is not ExponentialReference:
-        return f"the reference is a {type(reference).__name__}, not an ExponentialReference"
-    if problem.mapped:
-        return f"bound '{problem.mapped[0]}' is mapped: its rows change in every cycle"
-    if limit_of_time is not None:
-        return "a limit of time is kept by the interpreted path"
-    if entries > _MOST:
-        return f"the problem is too large ({entries} numbers in its matrices, {_MOST} at most)"
-    return form.obstacle(whole)
+    foreign = {
+        f"the observer is a {type(observer).__name__}": type(observer) is not KalmanObserver,
+        f"the reference is a {type(reference).__name__}": (
+            type(reference) is not ExponentialReference
+        ),
+        f"rows of {', '.join(problem.mapped)} change in every cycle": bool(problem.mapped),
+        "a limit of time is kept by the interpreted path": limit_of_time is not None,
+        f"its matrices have {entries} numbers, more than {_MOST}": entries > _MOST,
+    }
+    return next((reason for reason, true in foreign.items() if true), form.obstacle(whole))
 
 
 class CompiledStep:
@@ -78,11 +77,11 @@ class CompiledStep:
         self,
         form: CompiledForm,
         whole: Whole,
+        *,
         reference: ExponentialReference,
         fallback: Fallback,
         command: Array,
         prepared: NDArray[np.int64],
-        *,
         iterations: int,
         interpret: Callable[[Array, Array, float], object],
         figures: Mapping[str, float],
@@ -183,10 +182,12 @@ class CompiledStep:
         Returns:
             A `Code`. From `Code.HANDED_OVER` on the interpreted path has decided.
         """
+        begin = perf_counter() if deadline < math.inf else 0.0
         code = self.attempt(measurement, preview, deadline)
         if code >= Code.HANDED_OVER:
             self.interpreted += 1
-            self._interpret(measurement, preview, deadline)
+            left = deadline + begin - perf_counter() if deadline < math.inf else deadline
+            self._interpret(measurement, preview, left)
         return code
 
 

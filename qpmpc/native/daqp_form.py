@@ -120,8 +120,8 @@ class DaqpForm:
             plain("give", np.where(soft, 0.5 / curve, 0.0)),
             plain("weight", linear),
             plain("excess", np.where(soft, 2.0 * (curve - quadratic), 0.0)),
-            columns("whitening", group.T),
-            integers("sense", np.where(soft, _SOFT, 0) | np.where(seen, 0, _IGNORED)),
+            columns("whitening", group.back),
+            integers("sense", _SOFT * soft.astype(np.intc) + _IGNORED * (~seen).astype(np.intc)),
         ]
 
     def verify(self, library: Library, functions: Functions) -> None:

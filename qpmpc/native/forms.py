@@ -30,12 +30,20 @@ NO_FUNCTIONS = Functions((), ())
 class CompiledForm(Protocol):
     """A backend's way to solve as C text; `Backend.compiled` holds one."""
 
-    preamble: str
-    """C text before everything that depends on sizes."""
-    text: str
-    """C text of one kind of group: ``struct solver``, ``start`` and ``solve``."""
-    heeds_rows: bool
-    """Whether an answer that fails the check against the rows is handed over."""
+    @property
+    def preamble(self) -> str:
+        """C text before everything that depends on sizes."""
+        ...
+
+    @property
+    def text(self) -> str:
+        """C text of one kind of group: ``struct solver``, ``start`` and ``solve``."""
+        ...
+
+    @property
+    def heeds_rows(self) -> bool:
+        """Whether an answer that fails the check against the rows is handed over."""
+        ...
 
     def obstacle(self, whole: Whole) -> str | None:
         """Return why this problem cannot be solved by it, or None."""

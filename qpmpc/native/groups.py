@@ -31,12 +31,12 @@ class Whole:
 class Group:
     """An axis, or several that something couples; index arrays into the whole, ascending."""
 
+    whole: Whole
     states: Indices
     inputs: Indices
     measured: Indices
     outputs: Indices
     rows: Indices
-    whole: Whole
 
     @cached_property
     def decision(self) -> Indices:
@@ -54,7 +54,7 @@ class Group:
         return np.concatenate([self.states, self.whole.problem.model.n_states + self.inputs])
 
     @cached_property
-    def T(self) -> Array:
+    def back(self) -> Array:
         """Its variables from the scaled ones."""
         return self.whole.scaling.T[np.ix_(self.decision, self.decision)]
 
@@ -92,11 +92,11 @@ def groups(whole: Whole) -> list[Group]:
 
     n, n_u, n_y = sizes[0], sizes[1], sizes[3]
 
-    def input_of(M: Array) -> Pattern:
+    def input_of(M: Array | Pattern) -> Pattern:
         """Rows of a decision's matrix by the input whatever the step."""
         return np.asarray((M.reshape(M.shape[0], M.shape[1] // n_u, n_u) != 0).any(axis=1))
 
-    def by_output(M: Array) -> Pattern:
+    def by_output(M: Array | Pattern) -> Pattern:
         return np.asarray((M.reshape(-1, n_y, M.shape[1]) != 0).any(axis=0))
 
     join("states", "states", observer.A)
@@ -117,14 +117,16 @@ def groups(whole: Whole) -> list[Group]:
     total = sum(sizes)
     graph = csr_matrix((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(total, total))
     count, label = connected_components(graph, directed=False)
-    label = _complete(label, count, [np.arange(at[k], at[k] + s) for k, s in zip(kinds, sizes, strict=True)])
+    label = _complete(
+        label, count, [np.arange(at[k], at[k] + s) for k, s in zip(kinds, sizes, strict=True)]
+    )
     found = []
     for i in dict.fromkeys(label.tolist()):
         members = [
             np.flatnonzero(label[at[kind] : at[kind] + size] == i)
             for kind, size in zip(kinds, sizes, strict=True)
         ]
-        found.append(Group(*members, whole))
+        found.append(Group(whole, *members))
     return found
 
 
@@ -136,5 +138,3 @@ def _complete(label: Indices, count: int, members: list[Indices]) -> Indices:
         return np.zeros_like(label)
     first = int(np.flatnonzero(whole)[0])
     return np.where(whole[label], label, first)
-
-

@@ -78,9 +78,7 @@ def stacked(parts: Sequence[Array]) -> Array:
 
 def declaration(structure: str, fields: Sequence[Field]) -> str:
     """Return the C text of a structure."""
-    lines = [
-        f"  {f.type} {f.name}[{f.count}] __attribute__((aligned({LINE})));" for f in fields
-    ]
+    lines = [f"  {f.type} {f.name}[{f.count}] __attribute__((aligned({LINE})));" for f in fields]
     return "\n".join([f"struct {structure} {{", *lines, "};\n"])
 
 

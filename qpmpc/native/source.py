@@ -106,8 +106,7 @@ def _shared(kind: int, one: _Kind, before: Sequence[tuple[int, _Kind, Bytes]]) -
     """Return the structure of an equal group before, or a new one."""
     for other, known, memory in before:
         if other == kind and all(
-            _alike(a.data, b.data)
-            for a, b in zip(known.constants, one.constants, strict=True)
+            _alike(a.data, b.data) for a, b in zip(known.constants, one.constants, strict=True)
         ):
             return memory
     return image(one.constants)
@@ -167,13 +166,18 @@ def _constants(group: Group, form: CompiledForm) -> list[Field]:
     gain = observer.gain[np.ix_(x, group.measured)]
     head = np.hstack(
         [
-            np.vstack([observer.measured[np.ix_(group.measured, x)], problem.model.C[np.ix_(group.outputs, x)]]),
+            np.vstack(
+                [
+                    observer.measured[np.ix_(group.measured, x)],
+                    problem.model.C[np.ix_(group.outputs, x)],
+                ]
+            ),
             np.zeros((group.measured.size + group.outputs.size, n_u)),
         ]
     )
     respond = stacked([head, maps.free[np.ix_(group.free, p)], maps.rows[np.ix_(rows, p)]])
     gradient = maps.gradient[np.ix_(z, group.free)]
-    back = scaling.c * group.T.T
+    back = scaling.c * group.back.T
     A = qp.A[np.ix_(rows, z)]
     hard = np.isinf(qp.linear[rows])
 
@@ -181,7 +185,9 @@ def _constants(group: Group, form: CompiledForm) -> list[Field]:
         return np.where(hard, 0.0, penalty[rows])
 
     return [
-        columns("advance", np.hstack([observer.A[np.ix_(x, x)], observer.B[np.ix_(x, group.inputs)]])),
+        columns(
+            "advance", np.hstack([observer.A[np.ix_(x, x)], observer.B[np.ix_(x, group.inputs)]])
+        ),
         columns("respond", respond),
         columns("correct", gain),
         columns("innovate", respond[:, : x.size] @ gain),

@@ -113,6 +113,7 @@ LATERAL = ("bounds.tangential",)
 """What says nothing about z."""
 SOLVER_FIELDS = (
     "solver.max_iterations", "solver.time_limit", "solver.smallest_part", "solver.deadline",
+    "solver.compiled",
 )  # fmt: skip
 """What does not change the answer; tested below by what it does change."""
 TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
