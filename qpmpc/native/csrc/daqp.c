@@ -112,6 +112,7 @@ static int NAME(solve)(struct NAME(solver) *d, const struct NAME(constants) *c, 
                        int64_t *iterations) {
   block distance[ZB];
   int active = 0;
+  if (d->settings.iter_limit < 2) return -1; /* DAQP's count begins with one */
 #if NR > 0
   struct daqp_workspace *w = &d->work;
   block shift[RB];

@@ -168,7 +168,7 @@ static void NAME(conclude)(struct NAME(group) *g, const struct shared *s, struct
   }
 }
 
-#if !HEEDS
+#if !HEEDED
 /* How large gradient and rows are, for residuals relative to them. */
 static void NAME(size)(const struct NAME(group) *g, struct findings *f) {
   const double *v = (const double *)g->v;

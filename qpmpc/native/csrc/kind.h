@@ -1,7 +1,6 @@
 /* One kind of group: an axis, or several that a bound or the model couples. The generator writes
    before it KIND and the sizes NX states, NU inputs, NM measured, NY outputs, NR rows, and SOFT (any
-   row is soft), CURVED (any has a quadratic penalty), HEEDS (answers heed the rows); after it the
-   structures `constants` and `maps`. */
+   row is soft); after it the structures `constants` and `maps`. */
 
 #define NAME(x) JOIN(x, KIND)
 #define NF (HORIZON * NY)
