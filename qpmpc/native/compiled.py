@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from qpmpc.arrays import Array
 from qpmpc.fallback import Fallback
+from qpmpc.native import toolchain
 from qpmpc.native.errors import CompiledStepError
 from qpmpc.native.forms import CompiledForm
 from qpmpc.native.groups import Whole, groups
 from qpmpc.native.pack import aligned
 from qpmpc.native.source import write
-from qpmpc.native.toolchain import compile_library
 from qpmpc.observer import KalmanObserver
 from qpmpc.reference import ExponentialReference
 
@@ -104,7 +104,9 @@ class CompiledStep:
         functions = form.functions()
         found = groups(whole)
         program = write(whole, found, form, figures)
-        library = compile_library(program.text, name="step", depends=functions.depends)
+        library = toolchain.compile_library(
+            program.text, name="step", flags=toolchain.OPTIMISED, depends=functions.depends
+        )
         form.verify(library, functions)
         self.library = library
         self.groups = len(found)

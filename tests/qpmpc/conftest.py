@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
@@ -350,3 +351,15 @@ def liar() -> Callable[..., type[_Liar]]:
         return type("Liar", (_Liar,), {"answer": staticmethod(answer), "status": status})
 
     return make
+
+
+@pytest.fixture(scope="session")
+def the_usual_compiler() -> str | None:
+    """What CC was before these tests."""
+    return os.environ.get("CC")
+
+
+@pytest.fixture(autouse=True)
+def without_compiler(monkeypatch: pytest.MonkeyPatch, the_usual_compiler: str | None) -> None:
+    """Hundreds of controllers are made here: their steps stay interpreted. See ``native/``."""
+    monkeypatch.setenv("CC", "/nonexistent")
