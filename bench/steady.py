@@ -7,7 +7,6 @@ import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 
 from bench.stream import Replay, Stream
 from qpmpc.native import CompiledStepError
@@ -34,8 +33,6 @@ class Steady:
     """What of the process is in memory at each look."""
     page_faults: int
     """Pages that had to be got from the system, from the first look to the last."""
-    mean_us: float
-    """Of a step and its `prepare`, under the eyes of tracemalloc."""
 
 
 def watch(stream: Stream, backend: str, cycles: int, *, stop: Callable[[], bool]) -> Steady | None:
@@ -66,7 +63,7 @@ def watch(stream: Stream, backend: str, cycles: int, *, stop: Callable[[], bool]
         _resident()
     handed = general.compilation.interpreted_cycles
     python, resident = [tracemalloc.get_traced_memory()[0]], [_resident()]
-    faults, begin = resource.getrusage(resource.RUSAGE_SELF).ru_minflt, perf_counter()
+    faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     for i in range(_LOOKS):
         if stop():
             tracemalloc.stop()
@@ -74,12 +71,11 @@ def watch(stream: Stream, backend: str, cycles: int, *, stop: Callable[[], bool]
         _go_on(general.compiled, replay, cycles * (i + 1) // _LOOKS - cycles * i // _LOOKS)
         python.append(tracemalloc.get_traced_memory()[0])
         resident.append(_resident())
-    spent = perf_counter() - begin
     faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - faults
     tracemalloc.stop()
     return Steady(
         backend, cycles, general.compilation.interpreted_cycles - handed,
-        tuple(python), tuple(resident), faults, 1e6 * spent / max(cycles, 1),
+        tuple(python), tuple(resident), faults,
     )  # fmt: skip
 
 

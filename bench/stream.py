@@ -141,6 +141,8 @@ class Replay:
         general = self.controller.general
         general.reset(self.states[k], self.previous[k])
         general.solver.forget()
+        if general.compiled is not None:
+            general.compiled.forget()
         for name in self._schedule.moving:
             self.controller.move(name, *self._schedule.preview(name, k))
 

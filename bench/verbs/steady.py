@@ -62,7 +62,7 @@ def _lines(found: Steady) -> list[str]:
 
     return [
         f"{found.backend}: {found.cycles} compiled steps, {found.interpreted_cycles} of them "
-        f"interpreted; {found.mean_us:.1f} us each with its prepare, while traced",
+        "interpreted, each followed by its prepare",
         f"Python's memory: {grown(found.python_bytes)}; at most "
         f"{max(found.python_bytes) - found.python_bytes[0]} bytes more in between",
         f"resident memory: {grown(found.resident_bytes)}; pages got from the system: "

@@ -149,7 +149,12 @@ class CompiledStep:
             float(iterations),
         )
         self._call = prototype(("step", handle))
+        self._forget = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(("forget", handle))
         self._prepare = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(("prepare", handle))
+
+    def forget(self) -> None:
+        """Let the next solve begin from nothing, where it begins from the last active set."""
+        self._forget(self._pointer)
 
     def prepare(self) -> None:
         """Do what needs no measurement, after the command has been applied.

@@ -37,7 +37,7 @@ class CompiledForm(Protocol):
 
     @property
     def text(self) -> str:
-        """C text of one kind of group: ``struct solver``, ``start`` and ``solve``."""
+        """C text of one kind of group: ``struct solver``, ``start``, ``forget``, ``solve``."""
         ...
 
     @property

@@ -9,6 +9,10 @@ static void NAME(start)(struct NAME(solver) *d, const struct NAME(constants) *c,
   (void)d, (void)c, (void)functions, (void)iterations;
 }
 
+static void NAME(forget)(struct NAME(solver) *d, const struct NAME(constants) *c) {
+  (void)d, (void)c;
+}
+
 static int NAME(solve)(struct NAME(solver) *d, const struct NAME(constants) *c, const block *v,
                        const block *l, const block *u, block *decision, int *row, double *price,
                        int64_t *iterations) {

@@ -1,5 +1,6 @@
 /* What all parts of a compiled step share. The generator writes the sizes of the whole before it:
-   STATES, INPUTS, MEASURED, OUTPUTS, HORIZON, MOVES, ROWS, INCREMENT, GROUPS. */
+   STATES, INPUTS, MEASURED, OUTPUTS, HORIZON, MOVES, ROWS, INCREMENT (whether the decision is one),
+   HEEDED (whether answers heed the rows), TOLERANCE and CLIP_TOLERANCE. */
 
 #include <math.h>
 #include <stddef.h>

@@ -1,6 +1,6 @@
 /* What is linear in predicted state and last command is done by `prepare`; `update` adds what the
    innovation and the preview change, `conclude` checks an answer, `commit` hands it out. The
-   backend's own text stands before this one and brings `struct solver`, `start` and `solve`. */
+   backend's own text stands before this one and brings `struct solver`, `start`, `forget` and `solve`. */
 
 struct NAME(group) {
   const struct NAME(constants) *constants;

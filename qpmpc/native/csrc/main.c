@@ -15,6 +15,11 @@ void begin(struct memory *m, void *const *pointers, void *const *constants, void
   EACH(BEGIN)
 }
 
+void forget(struct memory *m) {
+#define FORGET(kind, i) forget_##kind(&m->group_##i.solver, m->group_##i.constants);
+  EACH(FORGET)
+}
+
 void prepare(struct memory *m) {
   if (*m->shared.prepared) return;
 #define PREPARE(kind, i) prepare_##kind(&m->group_##i, &m->shared, 1);
