@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from plant.interface import Measurement, Truth
 from qpmpc.fallback import Source
 from qpmpc.status import Status
-from scenarios.live import Source as SetpointSource
 from qpmpc.step import Step
+from scenarios.live import Source as SetpointSource
 from scenarios.motion import Axis
 
 Array = NDArray[np.float64]
