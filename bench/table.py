@@ -132,7 +132,8 @@ def comparison_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
         if "status" not in row:
             lines.append(f"{row['backend']}: refused the problem")
             continue
-        line = f"{row['backend']}: {_counts(row['status'])}"
+        path = "compiled" if row["compiled"]["used"] else "interpreted"
+        line = f"{row['backend']} ({path}): {_counts(row['status'])}"
         fallbacks = {name: n for name, n in row["source"].items() if name != "solution"}
         if any(fallbacks.values()):
             line += f"; command from {_counts(fallbacks)}"

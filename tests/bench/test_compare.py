@@ -244,7 +244,7 @@ def test_a_backend_that_refuses_becomes_a_row_and_the_others_run(shown, leave, t
         assert err == f"{told}\n"
     else:
         assert f"{refusing}: refused the problem" in out
-        assert "daqp: solved 30" in out
+        assert "daqp (compiled): solved 30" in out
 
 
 @pytest.mark.skipif(not NO_TIME, reason="every installed backend has a limit of time")
