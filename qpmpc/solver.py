@@ -104,7 +104,7 @@ class Solver:
             limits,
             patterns=(qp.P != 0, qp.A != 0 if pattern is None else pattern),
             smallest=smallest_part,
-            parameters=self._scaling.parameters(parameters)
+            parameters=self.scaling.parameters(parameters)
             if parameters is not None and kind.takes_parameters
             else None,
         )

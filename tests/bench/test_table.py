@@ -130,6 +130,7 @@ def summary(**changes):
         "status": {"solved": 1000},
         "source": SOLVED,
         "compiled": {"used": True, "reason": None, "interpreted_cycles": 0},
+        "live_setpoint": None,
         "violations": {name: {"count": 0, "worst": 0.0, "integral": 0.0} for name in BEYOND},
     } | changes
 
