@@ -21,6 +21,9 @@ _PRIMAL = 1e-9
 """How far a row of order one may be missed."""
 _ROUNDING = 1e-12
 """How far a row of order one may be from the bound that holds it."""
+_INSIDE = 1e-8
+"""How far a row that gives way may stand inside of its bound: the little curvature makes a rounding
+error of its multiplier that long."""
 _SOFT = 8
 """DAQP's mark of a row that may give way."""
 _FLAT = 1e-10
@@ -60,6 +63,7 @@ class DaqpBackend(Backend):
     compiled: ClassVar[CompiledForm | None] = DaqpForm(
         primal_tol=_PRIMAL,
         rounding=_ROUNDING,
+        inside=_INSIDE,
         far=_FAR,
         iterations=_ITERATIONS,
         each=_EACH,
@@ -148,12 +152,16 @@ class DaqpBackend(Backend):
         DAQP does so itself, but not where any soft row is among them.
         """
         x, y = answer.x, answer.y
-        held = np.flatnonzero((y != 0) & (np.abs(y) < self._below))
-        rows, price = self._A[held], y[held]
-        off = np.dot(rows, x)
-        off -= np.where(price > 0, u[held], l[held])
+        active = np.flatnonzero(y)
+        price = y[active]
+        off = np.dot(self._A[active], x)
+        off -= np.where(price > 0, u[active], l[active])
+        inside = np.where(price > 0, -off, off) > _INSIDE  # within DAQP's dual tolerance
+        stay = (np.abs(price) < self._below[active]) | inside
+        held, off = active[stay], off[stay]
         if not held.size or not np.abs(off).max() > _ROUNDING:
             return
+        rows = self._A[held]
         response = self._polish.response[:, held]
         try:
             change = np.linalg.solve(rows @ response, off)

@@ -28,6 +28,7 @@ _NAMES = (
     "daqp_allocate_soft_weights",
     "free_daqp_ldp",
     "free_daqp_workspace",
+    "daqp_refresh_soft_weights",
 )
 """In the order of the enumeration in ``daqp_abi.h``."""
 _WHITE = 1e-9
@@ -48,6 +49,7 @@ class DaqpForm:
         *,
         primal_tol: float,
         rounding: float,
+        inside: float,
         far: float,
         iterations: int,
         each: int,
@@ -56,6 +58,7 @@ class DaqpForm:
     ) -> None:
         """Take the figures that the interpreted backend uses; see `qpmpc.backends.daqp`."""
         self._primal_tol, self._rounding, self._far = primal_tol, rounding, far
+        self._inside = inside
         self._iterations, self._each = iterations, each
         self._flat, self._least = flat, least
 
@@ -65,6 +68,7 @@ class DaqpForm:
         figures = (
             f"#define PRIMAL_TOL {self._primal_tol!r}\n"
             f"#define ROUNDING {self._rounding!r}\n"
+            f"#define INSIDE {self._inside!r}\n"
             f"#define DAQP_FAR {self._far!r}\n"
         )
         return figures + c_text("daqp_abi.h") + c_text("daqp_probe.c")

@@ -7,7 +7,7 @@
 
 struct NAME(solver) {
   daqp_solve_call ldp;
-  daqp_call refine;
+  daqp_call refine, refresh;
   struct daqp_workspace work;
   struct daqp_settings settings;
   double upper[SOME(PADDED(NR))], lower[SOME(PADDED(NR))], product[SOME(NR)];
@@ -30,6 +30,7 @@ static void NAME(start)(struct NAME(solver) *d, const struct NAME(constants) *c,
   struct daqp_workspace *w = &d->work;
   d->ldp = (daqp_solve_call)functions[CALL_LDP];
   d->refine = (daqp_call)functions[CALL_REFINE];
+  d->refresh = (daqp_call)functions[CALL_REFRESH];
   d->settings = (struct daqp_settings){
       .primal_tol = PRIMAL_TOL, .dual_tol = 1e-12, .zero_tol = 1e-11, .pivot_tol = 1e-8,
       .progress_tol = 1e-14, .cycle_tol = 10, .iter_limit = (int)iterations,
@@ -93,16 +94,35 @@ static int NAME(correct)(struct NAME(solver) *d, const struct NAME(constants) *c
   return flag;
 }
 
-/* Put the penalties back, and a dual iterate that fits them in the place of the last one. */
+/* Whether a row that may give way stands inside of its bound, and is told not to: within its dual
+   tolerance, which the little curvature makes a long way, DAQP leaves such rows where they are. */
+static int NAME(retract)(struct NAME(solver) *d, const struct NAME(constants) *c) {
+  struct daqp_workspace *w = &d->work;
+  int found = 0;
+  for (int k = 0; k < w->n_active; k++) {
+    const int i = w->WS[k];
+    if ((w->sense[i] & (DAQP_SOFT | DAQP_SLACK_FIXED)) != DAQP_SOFT) continue;
+    const double *row = c->normal_rows + (size_t)i * NZ;
+    double value = 0;
+    for (int j = 0; j < NZ; j++) value += row[j] * w->u[j];
+    const double inside = w->sense[i] & DAQP_LOWER ? value - d->lower[i] : d->upper[i] - value;
+    if (inside > INSIDE) w->sense[i] |= DAQP_SLACK_FIXED, found = 1;
+  }
+  if (found) d->refresh(w);
+  return found;
+}
+
+/* Put the penalties back, and in the place of the last dual iterate one that is well inside of what
+   the rows' states allow: at a penalty itself DAQP takes the next change of state for rounding. */
 static void NAME(restore)(struct NAME(solver) *d, const struct NAME(constants) *c) {
   struct daqp_workspace *w = &d->work;
   for (int i = 0; i < NR; i++) d->weight[i] = c->weight[i];
   for (int k = 0; k < w->n_active; k++) {
-    const int i = w->WS[k];
-    w->lam[k] = w->lam_star[k];
-    if ((w->sense[i] & (DAQP_SOFT | DAQP_SLACK_FIXED)) != DAQP_SOFT) continue;
-    const double least = c->weight[i] / c->normal[i];
-    w->lam[k] = w->sense[i] & DAQP_LOWER ? smaller(w->lam[k], -least) : larger(w->lam[k], least);
+    const int i = w->WS[k], state = w->sense[i];
+    const double most = c->weight[i] / c->normal[i];
+    double price = 1.0;
+    if (state & DAQP_SOFT) price = state & DAQP_SLACK_FIXED ? 0.9 * most : most + 1.0;
+    w->lam[k] = state & DAQP_LOWER ? -price : price;
   }
 }
 
@@ -133,6 +153,10 @@ static int NAME(solve)(struct NAME(solver) *d, const struct NAME(constants) *c, 
     const int corrected =
         CORRECTS && (flag == DAQP_OPTIMAL || flag == DAQP_GAVE_WAY) && NAME(gives)(w);
     if (corrected) flag = NAME(correct)(d, c, iterations);
+    if (corrected && flag > 0 && NAME(retract)(d, c)) {
+      flag = d->ldp(w);
+      *iterations += w->iterations;
+    }
     if (flag != DAQP_OPTIMAL && flag != DAQP_GAVE_WAY) {
       for (int i = 0; i < NR; i++) d->weight[i] = c->weight[i];
       NAME(forget)(d, c);

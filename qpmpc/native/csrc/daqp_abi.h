@@ -40,7 +40,7 @@ enum { DAQP_OPTIMAL = 1, DAQP_GAVE_WAY = 2 };
 
 /* The functions that are called, in the order of DaqpForm.functions. */
 enum { CALL_LDP, CALL_REFINE, CALL_SETTINGS, CALL_WORKSPACE, CALL_PROBLEM, CALL_WEIGHTS,
-       CALL_FREE_PROBLEM, CALL_FREE_WORKSPACE };
+       CALL_FREE_PROBLEM, CALL_FREE_WORKSPACE, CALL_REFRESH };
 typedef int (*daqp_solve_call)(struct daqp_workspace *);
 typedef void (*daqp_call)(struct daqp_workspace *);
 typedef void (*daqp_workspace_call)(struct daqp_workspace *, int, int);

@@ -8,9 +8,6 @@ from qpmpc.native import toolchain
 
 
 @pytest.fixture(autouse=True)
-def with_compiler(monkeypatch, the_usual_compiler):
-    if the_usual_compiler is None:
-        monkeypatch.delenv("CC", raising=False)
-    else:
-        monkeypatch.setenv("CC", the_usual_compiler)
+def compiled_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In place of the fixture of the folder above."""
     monkeypatch.setattr(toolchain, "OPTIMISED", ("-std=gnu11", "-O1", "-fno-math-errno"))
