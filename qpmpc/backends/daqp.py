@@ -21,6 +21,8 @@ _PRIMAL = 1e-9
 """How far a row of order one may be missed."""
 _ROUNDING = 1e-12
 """How far a row of order one may be from the bound that holds it."""
+_SMALL = 1e-2
+"""How far a multiplier may be moved to that end: more is no rounding."""
 _INSIDE = 1e-8
 """How far a row that gives way may stand inside of its bound: the little curvature makes a rounding
 error of its multiplier that long."""
@@ -143,10 +145,16 @@ class DaqpBackend(Backend):
         if not self._polish.definite:
             self._finish(answer, q, l, u)
         elif answer.status is Status.SOLVED and np.count_nonzero(answer.y):
-            self._refine(answer, l, u)
+            self._refine(answer, q, l, u)
         return answer
 
-    def _refine(self, answer: RawSolution, l: Array, u: Array) -> None:  # noqa: E741
+    def _refine(
+        self,
+        answer: RawSolution,
+        q: Array,
+        l: Array,  # noqa: E741
+        u: Array,
+    ) -> None:
         """Put rows that are held by a bound onto it: many of them, nearly dependent, cost digits.
 
         DAQP does so itself, but not where any soft row is among them.
@@ -161,15 +169,21 @@ class DaqpBackend(Backend):
         held, off = active[stay], off[stay]
         if not held.size or not np.abs(off).max() > _ROUNDING:
             return
-        rows = self._A[held]
-        response = self._polish.response[:, held]
+        rows, response = self._A[held], self._polish.response[:, held]
         try:
             change = np.linalg.solve(rows @ response, off)
         except np.linalg.LinAlgError:
+            change = np.full(held.size, _SMALL)
+        way = response @ change
+        left = np.abs(off - np.dot(rows, way)).max()
+        if np.abs(change).max() < _SMALL and left < np.abs(off).max() and not inside.any():
+            answer.x = x - way
+            answer.y = y.copy()
+            answer.y[held] += change
             return
-        answer.x = x - response @ change
-        answer.y = y.copy()
-        answer.y[held] += change
+        self._polish.allow(self._limits.iterations or _EQUATIONS, np.inf)
+        if self._polish(q, l, u, x, y):  # other rows are to be held, or they depend on each other
+            answer.x, answer.y = self._polish.x, self._polish.y
 
     def _finish(self, answer: RawSolution, q: Array, l: Array, u: Array) -> None:  # noqa: E741
         """Better an answer of proximal steps, which DAQP takes where P is only semidefinite."""
