@@ -5,16 +5,22 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test lint format setup clean help
+.PHONY: demo test test-peers bench-peers lint format setup clean help
 
 help:  ## list the verbs
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
 
 demo: $(VENV)/.installed  ## set up and run the paper's experiment
 	$(BIN)/pulsempc run paper
 
 test: $(VENV)/.installed-dev  ## set up and run the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+test-peers: $(VENV)/.installed-dev  ## run a real peer end to end, from PyPI
+	$(BIN)/python -m pytest -m peers tests/bench/test_peers.py
+
+bench-peers: $(VENV)/.installed  ## other MPC packages on the same instances, each in its own environment
+	$(BIN)/python -m bench.peers
 
 lint: $(VENV)/.installed-dev  ## style, types, layers
 	$(BIN)/ruff check .
@@ -29,7 +35,7 @@ format: $(VENV)/.installed-dev  ## put the code into its form
 setup: $(VENV)/.installed-dev  ## set up for development
 
 clean:  ## remove the environment and caches, keep results
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .peers .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -28,6 +28,7 @@ command, is: ``state = predicted + gain (measurement - measured predicted)``, th
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -166,11 +167,13 @@ class Instances:
             ScenarioError: it cannot be read, or is none of this format.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as stream:
+                file = np.load(stream, allow_pickle=False)
                 arrays = {key: file[key] for key in file.files}
         except OSError as error:
             raise ScenarioError(f"{path}: {error.strerror or error}") from None
-        except (ValueError, zipfile.BadZipFile, AttributeError):
+        except (ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
+            # no archive, a single array, objects to unpickle, damaged
             raise ScenarioError(f"{path}: not a file of instances") from None
         if str(arrays.get("format")) != FORMAT:
             raise ScenarioError(f"{path}: not a file of instances of format {FORMAT}")

@@ -14,8 +14,8 @@ Tail = dict[str, float | None]
 LEVELS = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "p9999": 99.99}
 """Percentiles that are told beside the largest value."""
 # Okabe and Ito's palette: told apart by everyone.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-_LINES = ("-", "--", "-.")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+LINES = ("-", "--", ":", "-.")
 _SHOWN = (0.0, 50.0, 90.0, 99.0, 99.9, 99.99, 99.999, 99.9999)
 
 
@@ -59,33 +59,36 @@ def draw_percentiles(
     panel = figure.subplots()
     drawn = [curve for curve in curves if curve.values.size]
     for curve in drawn:
-        rarity, values = _steps(curve.values)
+        rarity, values = steps(curve.values)
         i = [c for c in drawn if c.floor == curve.floor].index(curve)
         panel.plot(
             rarity, values, label=curve.name,
-            color="#888888" if curve.floor else _COLOURS[i % len(_COLOURS)],
-            linestyle=_LINES[(i if curve.floor else i // len(_COLOURS)) % len(_LINES)],
+            color="#888888" if curve.floor else COLOURS[i % len(COLOURS)],
+            linestyle=LINES[(i if curve.floor else i // len(COLOURS)) % len(LINES)],
             linewidth=2.2 if curve.floor else 1.3,
         )  # fmt: skip
     if limit is not None:
-        panel.axhline(limit, color="#222222", linewidth=1.0, linestyle=":")
-        panel.annotate(
-            f"{limit:g} µs", (1.0, limit), xycoords=("axes fraction", "data"),
-            xytext=(-4, 3), textcoords="offset points", ha="right", fontsize=8,
-        )  # fmt: skip
-    _percentile_axis(panel, max((curve.values.size for curve in drawn), default=1))
-    panel.set_yscale("log")
+        draw_limit(panel, limit)
+    percentile_axis(panel, max((curve.values.size for curve in drawn), default=1))
     panel.set_ylabel(what)
     panel.set_title(title, fontsize=10)
-    panel.grid(alpha=0.3)
     if drawn:
         panel.legend(loc="upper left", fontsize=8)
     figure.savefig(path)
 
 
-def _steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def draw_limit(panel: Axes, limit: float) -> None:
+    """Draw a time that is not to be passed [us]."""
+    panel.axhline(limit, color="#222222", linewidth=1.0, linestyle=":")
+    panel.annotate(
+        f"{limit:g} µs", (1.0, limit), xycoords=("axes fraction", "data"),
+        xytext=(-4, 3), textcoords="offset points", ha="right", fontsize=8,
+    )  # fmt: skip
+
+
+def steps(values: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return 1 / (1 - share at or below) and the value there, thinned where nothing is seen."""
-    ordered = np.sort(values)
+    ordered = np.sort(np.asarray(values, dtype=np.float64), axis=None)
     n = ordered.size
     # The i-th of n is at share (i + 1) / n; the last one, at 1, is drawn half a step before.
     above = n - 1 - np.arange(n)
@@ -100,7 +103,8 @@ def _steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     return rarity[keep], np.maximum(ordered[keep], 1e-3)
 
 
-def _percentile_axis(panel: Axes, most: int) -> None:
+def percentile_axis(panel: Axes, most: int) -> None:
+    """Make the axes those of a percentile curve of at most ``most`` values."""
     shown = [level for level in _SHOWN if 100.0 / (100.0 - level) <= max(2 * most, 10)]
     panel.set_xscale("log")
     panel.set_xlim(1.0, max(2.0 * most, 10.0))
@@ -108,3 +112,5 @@ def _percentile_axis(panel: Axes, most: int) -> None:
     panel.xaxis.set_major_formatter(FixedFormatter([f"{level:g} %" for level in shown]))
     panel.xaxis.set_minor_locator(NullLocator())
     panel.set_xlabel("percentile")
+    panel.set_yscale("log")
+    panel.grid(alpha=0.3)

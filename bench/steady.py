@@ -50,7 +50,7 @@ def watch(stream: Stream, backend: str, cycles: int, *, stop: Callable[[], bool]
     Raises:
         CompiledStepError: the controller has no compiled step, or bounds that move.
     """
-    replay = Replay(stream, stream.scenario.controller.horizon, backend)
+    replay = Replay(stream, stream.scenario.controller.horizon, backend, compiled="on")
     general = replay.controller.general
     if general.compiled is None:
         raise CompiledStepError(general.compilation.reason or "none was made")

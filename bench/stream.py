@@ -12,7 +12,8 @@ from plant.cell import Cell
 from plant.interface import JointSpace, Measurement, Truth
 from qpmpc import ForceController, Step
 from qpmpc.backends import Backend
-from scenarios import Scenario, Schedule, Setpoint, control_loop
+from qpmpc.controller import Compiled
+from scenarios import Scenario, ScenarioError, Schedule, Setpoint, control_loop
 from scenarios.experiment import Report, assemble
 from scenarios.loop import Stop
 
@@ -45,6 +46,12 @@ class Stream:
         return len(self.force)
 
     @property
+    def bounds_joints(self) -> bool:
+        """Whether joints are bounded, so that the rows are others in every cycle."""
+        joints = self.scenario.controller.bounds.joints
+        return bool(np.isfinite([joints.speed, joints.torque]).any())
+
+    @property
     def axes(self) -> str:
         """The controlled axes as the command line writes them, "x,y,z"."""
         return ",".join(self.scenario.axes)
@@ -60,6 +67,11 @@ def record(scenario: Scenario, *, report: Report, stop: Stop) -> Stream | None:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had, or the
         simulation failed.
     """
+    if scenario.setpoint.live is not None:
+        raise ScenarioError(
+            "setpoint.live: cycles are recorded as fast as they go, nobody can send a setpoint to "
+            "them; give it by setpoint.file"
+        )
     made = assemble(scenario, report)
     recorder = _Recorder(made.cell, keep_joints=made.controller.bounds_joints)
     commands = np.zeros((scenario.cycles, len(scenario.axes)))
@@ -93,18 +105,30 @@ def record(scenario: Scenario, *, report: Report, stop: Stop) -> Stream | None:
 class Replay:
     """One controller that meets a stream: what the loop would hand it, without the loop."""
 
-    def __init__(self, stream: Stream, horizon: int, backend: str | type[Backend]) -> None:
+    def __init__(
+        self,
+        stream: Stream,
+        horizon: int,
+        backend: str | type[Backend],
+        *,
+        compiled: Compiled = "off",
+    ) -> None:
         """Build the controller of the stream's scenario for another backend and horizon.
 
         Args:
             stream: what it will meet.
-            horizon: N; a control horizon of the scenario is kept where it fits.
+            horizon: N; all else is as the scenario says.
             backend: a registered name or a backend class.
+            compiled: whether its step is a compiled one.
 
         Raises:
-            QpmpcError: the backend refuses the problem.
+            QpmpcError: there is no such step, or the backend refuses the problem.
         """
-        scenario = at_horizon(stream.scenario, horizon)
+        config = stream.scenario.controller
+        solver = replace(config.solver, compiled=compiled)
+        config = replace(config, horizon=horizon, solver=solver)
+        scenario = replace(stream.scenario, controller=config)
+        self.horizon = horizon
         period = scenario.cell.period
         self._schedule = Schedule(scenario)
         self._stream, moving = stream, self._schedule.moving
@@ -118,6 +142,8 @@ class Replay:
         )
         setpoint = Setpoint(scenario.setpoint, scenario.axes, stream.cycles, horizon, period)
         self.previews = [setpoint.preview(k) for k in range(stream.cycles)]
+        if not scenario.setpoint.preview:  # one array for all cycles then
+            self.previews = [setpoint.preview(k).copy() for k in range(stream.cycles)]
         """Setpoint s(k) ... s(k+N) of each cycle, ``(N + 1, n_axes)`` [N]."""
         self.measurements = np.array(
             [
@@ -173,17 +199,6 @@ class Replay:
             observer.correct(measurement)
             observer.predict(self.previous[k + 1])
         return states
-
-
-def at_horizon(scenario: Scenario, horizon: int) -> Scenario:
-    """Return the scenario with another horizon; its control horizon shrinks where it must."""
-    moves = scenario.controller.control_horizon
-    controller = replace(
-        scenario.controller,
-        horizon=horizon,
-        control_horizon=None if moves is None else min(moves, horizon),
-    )
-    return replace(scenario, controller=controller)
 
 
 class _Recorder:

@@ -137,6 +137,10 @@ class SolverConfig:
     not applied, the last plan goes on. None if not given: an answer is applied however late."""
     compiled: Literal["auto", "on", "off"] = "auto"
     """Whether a step is compiled C: where it can be had, or always (else an error), or never."""
+    form: Literal["auto", "condensed", "structured"] = "auto"
+    """``condensed``: one matrix over the horizon; ``structured``: stage by stage, at a cost that
+    grows linearly with the horizon; ``auto``: whichever is faster, where the backend leaves the
+    choice."""
     smallest_part: Annotated[int, Ge(1)] | None = None
     """Variables that make a component of the QP worth a call of its own, smaller ones are packed
     together; the backend's own figure if not given."""

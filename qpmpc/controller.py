@@ -20,7 +20,7 @@ from qpmpc.native.groups import Whole
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference, Reference
-from qpmpc.solver import NO_LIMITS, TOLERANCE, Solver
+from qpmpc.solver import NO_LIMITS, TOLERANCE
 from qpmpc.status import Status
 from qpmpc.step import CompiledRecord, Layout, Step, Times
 
@@ -90,13 +90,10 @@ class Controller:
             raise UnknownNameError("choice of compiled", compiled, get_args(Compiled))
         self.problem, self.observer, self.reference = problem, observer, reference
         kind = backend_class(backend) if isinstance(backend, str) else backend
-        self.solver = Solver(
-            problem.qp,
+        self.solver = problem.solver(
             kind,
-            problem.rows.values(),
-            limits=limits,
-            pattern=problem.pattern,
-            smallest_part=smallest_part,
+            limits,
+            smallest_part,
             parameters=expected(problem, ranges, reference)
             if ranges is not None and kind.takes_parameters
             else None,
@@ -105,14 +102,13 @@ class Controller:
         self.deadline = np.inf if deadline is None else deadline
         """Time from the start of a step by which its answer has to be there [s]; infinite: none."""
         n_u, n_y = problem.model.n_inputs, problem.model.n_outputs
-        self._n_u, self._shape = n_u, (problem.horizon, n_y)
-        self._C, self._Theta = np.array(problem.model.C), problem.prediction.Theta
+        self._n_u = n_u
+        self._C = np.array(problem.model.C)
         self._measured, self._previewed = (observer.gain.shape[1],), (problem.horizon + 1, n_y)
         self._output = np.zeros(n_y)
         self._prepared = np.ones(1, dtype=np.int64)
         self.command = np.zeros(n_u)
         """The command of the last step, u(k-1) of the next one, ``(n_inputs,)``."""
-        self._layout = Layout.of(problem.rows, (problem.moves, n_u), self._shape, problem.qp.m)
         self.compiled: CompiledStep | None = None
         """The compiled step, where there is one; its `step` is for those who need no record."""
         self._reason: str | None = "switched off"
@@ -221,9 +217,8 @@ class Controller:
             status, command = self._clip(status, problem.command(decision, previous))
         else:
             source, command, decision = self._fallback.decide(previous, measured=measured)
-            violation = self._excess(decision)
-        predicted = self._Theta @ decision
-        predicted += problem.free
+            violation = problem.excess(decision)
+        predicted = problem.predict(decision)
         self.command[:] = command
         self._prepared[0] = 0
         now = perf_counter()
@@ -232,7 +227,7 @@ class Controller:
             source,
             command,
             decision.reshape(-1, self._n_u),
-            predicted.reshape(self._shape),
+            predicted,
             violation,
             problem.rows,
             solution.residuals,
@@ -251,13 +246,16 @@ class Controller:
         Raises:
             CompiledStepError: there is none, and it is required.
         """
-        solver, qp = self.solver, self.problem.qp
-        form = vars(solver.kind).get(
-            "compiled"
-        )  # not inherited: what a subclass changes is not in it
-        whole = Whole(self.problem, self.observer, solver.scaling)
-        self._reason = obstacle(form, whole, self.reference, solver.limits.time)
+        problem, solver = self.problem, self.solver
+        if type(problem) is not Problem:
+            form, self._reason = None, f"the problem is a {type(problem).__name__}"
+        else:  # a form is not inherited: what a subclass does in another way is not in it
+            form = vars(solver.kind).get("compiled")
+            whole = Whole(problem, self.observer, solver.scaling)
+            self._reason = obstacle(form, whole, self.reference, solver.limits.time)
         if self._reason is None and form is not None:
+            shapes = (problem.moves, self._n_u), (problem.horizon, problem.model.n_outputs)
+            self._layout = Layout.of(problem.rows, *shapes, problem.qp.m)
             try:
                 self.compiled = CompiledStep(
                     form,
@@ -266,7 +264,9 @@ class Controller:
                     fallback=self._fallback,
                     command=self.command,
                     prepared=self._prepared,
-                    iterations=form.iterations(solver.limits.iterations, qp.n + qp.m),
+                    iterations=form.iterations(
+                        solver.limits.iterations, problem.qp.n + problem.qp.m
+                    ),
                     interpret=self._hand_over,
                     figures={"TOLERANCE": TOLERANCE, "CLIP_TOLERANCE": _CLIP_TOLERANCE},
                 )
@@ -285,12 +285,6 @@ class Controller:
                 status = Status.CLIPPED
             command = clipped
         return status, command
-
-    def _excess(self, decision: Array) -> Array:
-        """Return how far a plan that no solver checked is beyond each row."""
-        problem = self.problem
-        rows = problem.A @ decision
-        return np.maximum(np.maximum(rows - problem.u, problem.l - rows), 0.0)
 
     def _complain(self, measurement: Array, preview: Array) -> None:
         if measurement.shape != self._measured:

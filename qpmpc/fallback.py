@@ -34,7 +34,6 @@ class Fallback:
     def __init__(self, problem: Problem) -> None:
         """Prepare for a problem whose Hessian is positive definite."""
         self._problem = problem
-        self._gain = -np.linalg.inv(problem.qp.P)
         self.plan = np.zeros((problem.moves, problem.model.n_inputs))
         """Commands of the last plan, ``(N_u, n_inputs)``."""
         self.cursor = np.array([problem.moves])
@@ -68,7 +67,7 @@ class Fallback:
             self.cursor[0] += 1
             return Source.PLAN, rest, problem.decide(commands, previous)
         if measured and all_finite(problem.q):
-            decision = np.dot(self._gain, problem.q)
+            decision = problem.unconstrained()
             if all_finite(decision):
                 command = np.clip(problem.command(decision, previous), low, high)
                 return Source.ANALYTIC, command, decision

@@ -17,11 +17,11 @@ from qpmpc.config import Band, ControllerConfig, PerAxis, SoftBoundName
 from qpmpc.controller import Controller
 from qpmpc.errors import BoundsError, UnknownNameError
 from qpmpc.expectation import Ranges
+from qpmpc.forms import pose
 from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, stack
 from qpmpc.observer import KalmanObserver
 from qpmpc.penalties import SoftBound, ordered
-from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference
 from qpmpc.step import Step
 
@@ -91,15 +91,18 @@ class ForceController:
             decision=config.decision,
             construction=kind.construction,
         )
-        problem = Problem(
+        limits = Limits(config.solver.max_iterations, config.solver.time_limit)
+        problem, self.form_reason = pose(
             model,
             config.horizon,
+            backend=kind,
+            form=config.solver.form,
+            limits=limits,
             control_horizon=config.control_horizon,
             decision=config.decision,
             output_weight=config.force_weight,
             increment_weight=config.increment_weight,
             bounds=[*self._hard_bounds(moving), *soft],
-            construction=kind.construction,
         )
         observer = KalmanObserver(
             model,
@@ -108,7 +111,6 @@ class ForceController:
             block_diag(*[axis.measurement_noise] * count),
         )
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
-        limits = Limits(config.solver.max_iterations, config.solver.time_limit)
         self.ranges = self._ranges(config, axis.quantities, period)
         """What states and setpoint are expected to be; see `qpmpc.expectation`."""
         self.general = Controller(

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
-from qpmpc.arrays import Array, vector
+from qpmpc.arrays import Array, Indices, vector
 from qpmpc.bounds import MappedBound, OutputBound
 from qpmpc.construction import NUMPY, Construction, Decision
 from qpmpc.models import LinearModel
@@ -68,6 +70,32 @@ def _relief(rows: Array, weaker: Sequence[tuple[Array, Array]]) -> float:
     """Return the most that one unit of one row can bring to all that is weaker."""
     if not rows.size:
         return 1.0
-    inverse = np.linalg.pinv(rows, rcond=_HARDLY)
-    gain = sum((price @ np.abs(other @ inverse) for other, price in weaker), np.zeros(len(rows)))
-    return float(gain.max()) or 1.0  # nothing to gain: any price will do
+    own, others = np.asarray(rows != 0), [np.asarray(other != 0) for other, _ in weaker]
+    # Axes that nothing couples are looked at one by one: the work grows with the third power.
+    groups = [
+        (columns, own[:, columns].any(axis=1)) for columns in _uncoupled(np.vstack([own, *others]))
+    ]
+    factors = [
+        np.linalg.svd(rows[np.ix_(mine, columns)], full_matrices=False) for columns, mine in groups
+    ]
+    least = _HARDLY * max(float(s.max(initial=0.0)) for _, s, _ in factors)
+    most = 0.0
+    for (columns, _), (U, s, Vt) in zip(groups, factors, strict=True):
+        used = s > least
+        inverse = (Vt[used].T / s[used]) @ U[:, used].T
+        gain = np.zeros(len(U))
+        for (other, price), there in zip(weaker, others, strict=True):
+            touched = there[:, columns].any(axis=1)
+            gain += price[touched] @ np.abs(other[np.ix_(touched, columns)] @ inverse)
+        most = max(most, float(gain.max(initial=0.0)))
+    return most or 1.0  # nothing to gain: any price will do
+
+
+def _uncoupled(pattern: NDArray[np.bool_]) -> list[Indices]:
+    """Return the columns in groups that no row of ``pattern`` has in common."""
+    rows, columns = pattern.shape
+    entries = coo_matrix(pattern)
+    graph = coo_matrix((entries.data, (entries.row + columns, entries.col)), (rows + columns,) * 2)
+    count, label = connected_components(graph, directed=False)
+    groups = [np.flatnonzero(label[:columns] == i) for i in range(count)]
+    return [group for group in groups if group.size]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import ClassVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qpmpc.arrays import Array, vector
+from qpmpc.backends import Backend, Limits
 from qpmpc.bounds import Bound, CommandBound, RateBound
 from qpmpc.construction import NUMPY, Construction, Decision
 from qpmpc.errors import BoundsError, ModelError, UnknownNameError
@@ -17,7 +18,8 @@ from qpmpc.models import LinearModel
 from qpmpc.parametric import Parametric
 from qpmpc.prediction import Prediction
 from qpmpc.program import QuadraticProgram
-from qpmpc.rows import Rows, Setting
+from qpmpc.rows import RowBounds, Rows, Setting
+from qpmpc.solver import NO_LIMITS, Solver
 
 Affine = tuple[Array, Array]
 """Constant ``(n,)`` and map ``(n, d)`` of parameters."""
@@ -60,6 +62,9 @@ class Problem:
     the letter. J equals ``1/2 z' P z + q' z`` up to a constant.
     """
 
+    form: ClassVar[str] = "condensed"
+    """What stands for the problem: its matrices, or its stages."""
+
     def __init__(
         self,
         model: LinearModel,
@@ -95,21 +100,18 @@ class Problem:
             raise UnknownNameError("decision", decision, get_args(Decision))
         self.model, self.horizon, self.decision = model, horizon, decision
         setting = Setting.of(model, horizon, control_horizon, decision, construction)
-        self.prediction: Prediction = setting.predict(model.C)
-        self.moves = moves = setting.moves
+        self.moves = setting.moves
         delta = vector("output_weight", output_weight, model.n_outputs)
         lam = vector("increment_weight", increment_weight, model.n_inputs)
         if (delta < 0).any() or (lam <= 0).any():
             raise ModelError("output_weight must not be negative, increment_weight positive")
-        P, self._error_to_q = construction.cost(
-            self.prediction.Theta, np.tile(delta, horizon), np.tile(lam, moves)
-        )
         names = [bound.name for bound in bounds]
         if len(set(names)) != len(names):
             raise BoundsError(", ".join(names), "two bounds have the same name")
         self.bounds = tuple(bounds)
         """As they were given."""
-        self._bounds = {bound.name: Rows(bound, setting) for bound in bounds}
+        self._condensed: dict[str, Rows] = {}
+        self._bounds = {bound.name: self._rows_of(bound, setting) for bound in bounds}
         self._kinds = {bound.name: type(bound) for bound in bounds}
         self.rows: dict[str, slice] = {}
         """Where the rows of each bound are that has any."""
@@ -118,11 +120,28 @@ class Problem:
             if rows.size:
                 self.rows[name] = slice(start, start + rows.size)
                 start += rows.size
-        self._build(P)
+        self._first = {
+            kind: (np.full(model.n_inputs, -np.inf), np.full(model.n_inputs, np.inf))
+            for kind in (CommandBound, RateBound)
+        }
+        """What u(k) and Delta u(k) may be, for `limits`."""
+        self._note_first()
+        self._build(setting, construction, delta, lam)
 
-    def _build(self, P: Array) -> None:
+    def _rows_of(self, bound: Bound, setting: Setting) -> RowBounds:
+        rows = self._condensed[bound.name] = Rows(bound, setting)
+        return rows
+
+    def _build(
+        self, setting: Setting, construction: Construction, delta: Array, lam: Array
+    ) -> None:
+        """Condense: everything that has as many columns as there are decisions, and vectors."""
+        self.prediction: Prediction = setting.predict(self.model.C)
+        P, self._error_to_q = construction.cost(
+            self.prediction.Theta, np.tile(delta, self.horizon), np.tile(lam, self.moves)
+        )
         n, n_u, n_z = self.model.n_states, self.model.n_inputs, P.shape[0]
-        rows = [self._bounds[name] for name in self.rows]
+        rows = [self._condensed[name] for name in self.rows]
         self.A = np.vstack([np.zeros((0, n_z)), *(r.decision for r in rows)])
         """Rows of the present cycle, ``(m, n_z)``."""
         self._l0 = np.concatenate([np.zeros(0), *(r.lower for r in rows)])
@@ -138,6 +157,7 @@ class Problem:
         """Where `A` may ever be other than zero, ``(m, n_z)``."""
         self.rows_changed = False
         """Whether `A` is another than at the last solve; who hands it on sets it back."""
+        self._closed_form = -np.linalg.inv(P)
         self._mapped = [(r, self.rows[r.name]) for r in rows if r.mapped]
         self._row_map = np.vstack([np.zeros((0, n + n_u)), *(r.parameters for r in rows)])
         self._free_map = np.hstack([self.prediction.Psi, self.prediction.Upsilon])
@@ -149,12 +169,6 @@ class Problem:
         self.q = np.zeros(self.qp.n)
         """Gradient of the last `update`, ``(n_z,)``."""
         self.l, self.u = np.zeros(self.qp.m), np.zeros(self.qp.m)
-        # What u(k) and Delta u(k) may be, for `limits`.
-        self._first = {
-            kind: (np.full(n_u, -np.inf), np.full(n_u, np.inf))
-            for kind in (CommandBound, RateBound)
-        }
-        self._note_first()
 
     @property
     def maps(self) -> Maps:
@@ -199,7 +213,7 @@ class Problem:
         rows = self._find(name)
         rows.map(mapping, offset)
         if rows.size:
-            self.A[self.rows[name]] = rows.decision
+            self.A[self.rows[name]] = self._condensed[name].decision
             self.rows_changed = True
 
     def kept(self, name: str) -> NDArray[np.bool_]:
@@ -210,7 +224,7 @@ class Problem:
         """
         return self._find(name).kept
 
-    def _find(self, name: str) -> Rows:
+    def _find(self, name: str) -> RowBounds:
         if name not in self._bounds:
             raise UnknownNameError("bound", name, self._bounds)
         return self._bounds[name]
@@ -257,6 +271,44 @@ class Problem:
     def commands(self) -> tuple[Array, Array]:
         """What u(k) may be by the bounds on it alone, ``(n_inputs,)`` each."""
         return self._first[CommandBound]
+
+    def predict(self, decision: Array) -> Array:
+        """Return y(k+1) ... y(k+N) under a decision ``(n_z,)``, since the last `update`."""
+        outputs = np.dot(self.prediction.Theta, decision)
+        outputs += self.free
+        return np.asarray(outputs.reshape(self.horizon, -1))
+
+    def excess(self, decision: Array) -> Array:
+        """Return how far a decision ``(n_z,)`` is beyond each row, ``(m,)``."""
+        rows = np.dot(self.A, decision)
+        return np.asarray(np.maximum(np.maximum(rows - self.u, self.l - rows), 0.0))
+
+    def unconstrained(self) -> Array:
+        """Return the decision ``(n_z,)`` that is best without bounds, since the last `update`."""
+        return np.asarray(np.dot(self._closed_form, self.q))
+
+    def solver(
+        self,
+        backend: str | type[Backend],
+        limits: Limits = NO_LIMITS,
+        smallest_part: int | None = None,
+        *,
+        parameters: Parametric | None = None,
+    ) -> Solver:
+        """Return a solver for the QP of this problem; arguments as for `Solver`.
+
+        Raises:
+            UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`.
+        """
+        return Solver(
+            self.qp,
+            backend,
+            self.rows.values(),
+            limits=limits,
+            pattern=self.pattern,
+            smallest_part=smallest_part,
+            parameters=parameters,
+        )
 
     def command(self, decision: Array, previous: Array) -> Array:
         """Return u(k) ``(n_inputs,)`` from the first part of a decision ``(n_z,)`` and u(k-1)."""

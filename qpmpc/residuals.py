@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from qpmpc.arrays import Array, all_finite
 from qpmpc.program import QuadraticProgram
-from qpmpc.scaling import Scaling
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,17 +29,108 @@ class Residuals:
 UNKNOWN = Residuals(*[float("nan")] * 4)
 
 
+class Program(Protocol):
+    """What the check has to know of a QP beside its products with vectors."""
+
+    @property
+    def n(self) -> int:
+        """Number of variables."""
+        ...
+
+    @property
+    def m(self) -> int:
+        """Number of rows."""
+        ...
+
+    @property
+    def linear(self) -> Array:
+        """Penalty per unit of violation of each row, ``(m,)``."""
+        ...
+
+    @property
+    def quadratic(self) -> Array:
+        """Penalty per squared unit, ``(m,)``."""
+        ...
+
+
+class Scales(Protocol):
+    """What the check has to know of a scaling."""
+
+    c: float
+    E: Array
+
+    @property
+    def qp(self) -> Program:
+        """The scaled program."""
+        ...
+
+    def gradient(self, g: Array, out: Array) -> Array:
+        """Scale a gradient ``(n,)``, into ``out``."""
+        ...
+
+    def level(self) -> float:
+        """Return the largest entry of the scaled ``q`` of the last update."""
+        ...
+
+
+class Products(Protocol):
+    """The matrices of a QP, told by their products with vectors; each is written into ``out``."""
+
+    def rows(self, x: Array, out: Array) -> Array:
+        """Return ``A x``, ``(m,)``."""
+        ...
+
+    def slope(self, x: Array, out: Array) -> Array:
+        """Return ``P x``, ``(n,)``."""
+        ...
+
+    def pull(self, y: Array, out: Array) -> Array:
+        """Return ``A' y``, ``(n,)``."""
+        ...
+
+
+class DenseProducts:
+    """Products with matrices that are there."""
+
+    def __init__(self, P: Array, A: Array) -> None:
+        self._P, self._A, self._At = np.array(P), A, np.ascontiguousarray(A.T)
+
+    def replace_rows(self, A: Array) -> None:
+        """Take other rows ``(m, n)``."""
+        self._A, self._At = A, np.ascontiguousarray(A.T)
+
+    def rows(self, x: Array, out: Array) -> Array:
+        """See `Products`."""
+        return np.dot(self._A, x, out=out)
+
+    def slope(self, x: Array, out: Array) -> Array:
+        """See `Products`."""
+        return np.dot(self._P, x, out=out)
+
+    def pull(self, y: Array, out: Array) -> Array:
+        """See `Products`."""
+        return np.dot(self._At, y, out=out)
+
+
 class Check:
     """Computes the residuals of answers to one family of QPs, with memory of its own."""
 
-    def __init__(self, qp: QuadraticProgram, scaling: Scaling, tolerance: float) -> None:
+    def __init__(
+        self, qp: Program, scaling: Scales, tolerance: float, products: Products | None = None
+    ) -> None:
         """Prepare.
 
         Args:
             qp: the program in its own units. scaling: of the same.
             tolerance: scaled residual below which the size of the problem is not looked at.
+            products: of the program's matrices; those of its ``P`` and ``A`` if not given.
         """
-        self._P, self._scaling, self._tolerance = np.array(qp.P), scaling, tolerance
+        self._scaling, self._tolerance = scaling, tolerance
+        if products is None:
+            if not isinstance(qp, QuadraticProgram):
+                raise TypeError("a program without matrices needs products")
+            products = DenseProducts(qp.P, np.array(qp.A))
+        self._products = products
         self._hard = np.isinf(qp.linear)
         self._linear = np.where(self._hard, 0.0, qp.linear)
         self._quadratic = np.where(self._hard, 0.0, qp.quadratic)
@@ -54,21 +145,21 @@ class Check:
         """Violation of each row by the last answer, in its unit, ``(m,)``."""
         self._gradient, self._work = np.zeros(qp.n), np.zeros(qp.n)
         self._Ax, self._over, self._under, self._s, self._price = (np.zeros(qp.m) for _ in range(5))
-        self.replace_rows(np.array(qp.A))
 
     def replace_rows(self, A: Array) -> None:
-        """Take other rows ``(m, n)``, unscaled."""
-        self._A, self._At = A, np.ascontiguousarray(A.T)
+        """Take other rows ``(m, n)``, unscaled, where the matrices are there."""
+        if isinstance(self._products, DenseProducts):
+            self._products.replace_rows(A)
 
     def __call__(self, q: Array, l: Array, u: Array, x: Array, y: Array) -> Residuals:  # noqa: E741
         """Return the residuals of ``x (n,)`` with multipliers ``y (m,)``, all unscaled."""
         s, over, under, gradient = self.slack, self._over, self._under, self._gradient
-        Ax = np.dot(self._A, x, out=self._Ax)
+        Ax = self._products.rows(x, self._Ax)
         np.subtract(Ax, u, out=over)
         np.subtract(l, Ax, out=under)
         np.maximum(over, under, out=s)
         np.maximum(s, 0.0, out=s)
-        np.dot(self._P, x, out=gradient)
+        self._products.slope(x, gradient)
         gradient += q
         gap = float(np.dot(x, gradient))
         primal = complementarity = scaled_primal = 0.0
@@ -85,7 +176,7 @@ class Check:
         if violated or np.count_nonzero(y):
             if not all_finite(y):  # comparisons would lose it
                 return UNKNOWN
-            gradient += np.dot(self._At, y, out=self._work)
+            gradient += self._products.pull(y, self._work)
             gap += self._gap(y, l, u)
             complementarity = self._complementarity(y)
             if complementarity > self._tolerance:
@@ -167,6 +258,6 @@ class Check:
 
     def _sizes(self) -> tuple[float, float]:
         """Return the size of the gradient and of the rows, one at least."""
-        level = 1.0 + float(np.abs(self._scaling.q).max(initial=0.0))
+        level = 1.0 + self._scaling.level()
         np.multiply(self._scaling.E, self._Ax, out=self._over)
         return level, 1.0 + float(np.abs(self._over).max(initial=0.0))

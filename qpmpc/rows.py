@@ -62,19 +62,24 @@ class Affine:
     """``(steps * width, n_inputs)``."""
 
 
-class Rows:
-    """The rows of one bound: ``lower <= decision z + offset <= upper``."""
+class RowBounds:
+    """The rows of one bound without their dependence on the decision: limits, and who is in."""
 
-    def __init__(self, bound: Bound, setting: Setting) -> None:
-        """Build them, but for those that bound nothing or that no decision can move.
+    def __init__(self, bound: Bound, steps: int, reach: Array, parameters: Array) -> None:
+        """Leave out rows that bound nothing or that no decision can move.
 
         Under a delay the first outputs of the horizon are already decided: a row of zeros is a
         fact, not a choice, and would leave a solver nothing to scale.
 
+        Args:
+            bound: the record. steps: how many it speaks of.
+            reach: largest effect of the decision on each row, ``(steps * width,)``.
+            parameters: effect of state and last command, ``(steps * width, n + n_inputs)``.
+
         Raises:
-            BoundsError, ModelError, ShapeError: the bound does not fit the model.
+            BoundsError, ModelError: the bound does not fit.
         """
-        self.name = bound.name
+        self.name, self.steps = bound.name, steps
         self.linear, self.quadratic = np.inf, 0.0
         if isinstance(bound, OutputBound | MappedBound):
             self.linear, self.quadratic = bound.linear, bound.quadratic
@@ -84,50 +89,32 @@ class Rows:
                 )
         self.mapped = isinstance(bound, MappedBound)
         """Whether `map` may be called."""
-        base = _base(bound, setting)
-        self.steps = setting.horizon if _of_outputs(bound) else setting.moves
-        self._base = base.decision.reshape(self.steps, base.decision.shape[0] // self.steps, -1)
-        self.width = self._base.shape[1]
-        self._mapping = np.eye(self.width)
-        if isinstance(bound, MappedBound):
-            self._mapping = matrix(f"mapping of '{self.name}'", bound.mapping, None, self.width)
-            self.width = self._mapping.shape[0]
-        self._shift = np.zeros(self.width)
-        bounds = over_horizon(self.name, bound.lower, bound.upper, self.steps, self.width)
+        self.width = reach.size // steps
+        bounds = over_horizon(self.name, bound.lower, bound.upper, steps, self.width)
         self.first = bounds[0][0], bounds[1][0]
         """Lower and upper bound at the first step, ``(width,)`` each."""
         lower, upper = (side.ravel() for side in bounds)
-        decision = self._decision()
-        size = np.abs(decision if not self.mapped else self._all_of_base()).max(axis=1, initial=0.0)
-        keep = np.asarray(size > _NOTHING * size.max(initial=0.0), dtype=np.bool_)
+        keep = np.asarray(reach > _NOTHING * reach.max(initial=0.0), dtype=np.bool_)
         self._idle = ~keep
         if not bound.moving:
             keep &= np.isfinite(lower) | np.isfinite(upper)
-        self._keep = keep
+        self.keep: NDArray[np.bool_] = keep
+        """Which of all rows there are, ``(steps * width,)``."""
         self.size = int(np.count_nonzero(keep))
-        self.decision = np.ascontiguousarray(decision[keep])
-        """How the rows depend on the decision, ``(size, n_decision)``."""
         self.lower, self.upper = lower[keep], upper[keep]
-        self._parameters = np.hstack([base.state, base.previous])
+        self._parameters = parameters
 
     @property
     def kept(self) -> NDArray[np.bool_]:
         """Which of the bound's rows these are, ``(steps, width)``."""
-        return self._keep.reshape(self.steps, self.width)
+        return self.keep.reshape(self.steps, self.width)
 
     @property
     def parameters(self) -> Array:
         """How the rows depend on state and last command, ``(size, n + n_inputs)``; 0 if mapped."""
         if self.mapped:
             return np.zeros((self.size, self._parameters.shape[1]))
-        return self._parameters[self._keep]
-
-    @property
-    def pattern(self) -> NDArray[np.bool_]:
-        """Where `decision` may ever be other than zero, ``(size, n_decision)``."""
-        if not self.mapped:
-            return np.asarray(self.decision != 0, dtype=np.bool_)
-        return np.asarray(self._all_of_base()[self._keep] > 0, dtype=np.bool_)
+        return self._parameters[self.keep]
 
     def move(self, lower: ArrayLike, upper: ArrayLike) -> None:
         """Take other bounds.
@@ -136,14 +123,53 @@ class Rows:
             BoundsError: they do not fit, or bound a row that was left out.
         """
         low, high = over_horizon(self.name, lower, upper, self.steps, self.width)
-        lost = (np.isfinite(low) | np.isfinite(high)).ravel() & ~self._keep & ~self._idle
+        lost = (np.isfinite(low) | np.isfinite(high)).ravel() & ~self.keep & ~self._idle
         if lost.any():
             raise BoundsError(
                 self.name, "has no rows where it was infinite; make it with moving=True"
             )
         self.first = low[0], high[0]
-        np.compress(self._keep, low.reshape(-1), out=self.lower)
-        np.compress(self._keep, high.reshape(-1), out=self.upper)
+        np.compress(self.keep, low.reshape(-1), out=self.lower)
+        np.compress(self.keep, high.reshape(-1), out=self.upper)
+
+    def map(self, mapping: ArrayLike, offset: ArrayLike) -> None:  # noqa: ARG002
+        """Take another map, where there is one.
+
+        Raises:
+            BoundsError: there is none.
+        """
+        raise BoundsError(self.name, "is not a MappedBound: there is nothing to map")
+
+
+class Rows(RowBounds):
+    """The rows of one bound: ``lower <= decision z + offset <= upper``."""
+
+    def __init__(self, bound: Bound, setting: Setting) -> None:
+        """Build them, see `RowBounds`.
+
+        Raises:
+            BoundsError, ModelError, ShapeError: the bound does not fit the model.
+        """
+        base = _base(bound, setting)
+        steps = setting.horizon if of_outputs(bound) else setting.moves
+        self._base = base.decision.reshape(steps, base.decision.shape[0] // steps, -1)
+        width = self._base.shape[1]
+        self._mapping, mapped = np.eye(width), isinstance(bound, MappedBound)
+        if isinstance(bound, MappedBound):
+            self._mapping = matrix(f"mapping of '{bound.name}'", bound.mapping, None, width)
+        self._shift = np.zeros(len(self._mapping))
+        decision = self._decision(mapped)
+        size = np.abs(decision if not mapped else self._all_of_base()).max(axis=1, initial=0.0)
+        super().__init__(bound, steps, size, np.hstack([base.state, base.previous]))
+        self.decision = np.ascontiguousarray(decision[self.keep])
+        """How the rows depend on the decision, ``(size, n_decision)``."""
+
+    @property
+    def pattern(self) -> NDArray[np.bool_]:
+        """Where `decision` may ever be other than zero, ``(size, n_decision)``."""
+        if not self.mapped:
+            return np.asarray(self.decision != 0, dtype=np.bool_)
+        return np.asarray(self._all_of_base()[self.keep] > 0, dtype=np.bool_)
 
     def map(self, mapping: ArrayLike, offset: ArrayLike) -> None:
         """Take another map ``(n_m, ...)`` and offset ``(n_m,)``; `decision` is new then.
@@ -152,11 +178,11 @@ class Rows:
             BoundsError: the bound is not a mapped one. ShapeError, ModelError: wrong shape, NaN.
         """
         if not self.mapped:
-            raise BoundsError(self.name, "is not a MappedBound: there is nothing to map")
+            super().map(mapping, offset)
         checked = matrix(f"mapping of '{self.name}'", mapping, *self._mapping.shape)
         self._shift = vector(f"offset of '{self.name}'", offset, self.width)
         self._mapping = checked
-        np.compress(self._keep, self._decision(), axis=0, out=self.decision)
+        np.compress(self.keep, self._decision(True), axis=0, out=self.decision)
 
     def mapped_offset(self, parameters: Array, out: Array) -> None:
         """Write what mapped rows are at a zero decision, ``(size,)``, into ``out``.
@@ -167,28 +193,27 @@ class Rows:
         free = np.dot(self._parameters, parameters).reshape(self.steps, -1)
         moved = np.dot(free, self._mapping.T)
         moved += self._shift
-        np.compress(self._keep, moved.reshape(-1), out=out)
+        np.compress(self.keep, moved.reshape(-1), out=out)
 
     def _all_of_base(self) -> Array:
         """How far any map could let each row depend on the decision, up to a factor."""
         most = np.abs(self._base).max(axis=1)
-        return np.asarray(np.repeat(most, self.width, axis=0))
+        return np.asarray(np.repeat(most, len(self._mapping), axis=0))
 
-    def _decision(self) -> Array:
-        rows = np.matmul(self._mapping, self._base) if self.mapped else self._base
-        return np.asarray(rows.reshape(self.steps * self.width, -1))
+    def _decision(self, mapped: bool) -> Array:
+        rows = np.matmul(self._mapping, self._base) if mapped else self._base
+        return np.asarray(rows.reshape(-1, self._base.shape[2]))
 
 
-def _of_outputs(bound: Bound) -> bool:
+def of_outputs(bound: Bound) -> bool:
+    """Whether a bound speaks of the steps k+1 ... k+N, not of the commands."""
     return isinstance(bound, OutputBound) or (isinstance(bound, MappedBound) and not bound.direct)
 
 
 def _base(bound: Bound, setting: Setting) -> Affine:
     if isinstance(bound, OutputBound | MappedBound):
         return (
-            _outputs(setting, bound.output)
-            if _of_outputs(bound)
-            else _direct(setting, bound.output)
+            _outputs(setting, bound.output) if of_outputs(bound) else _direct(setting, bound.output)
         )
     return _commands(setting) if isinstance(bound, CommandBound) else _increments(setting)
 

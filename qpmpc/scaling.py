@@ -80,6 +80,10 @@ class Scaling:
         np.putmask(self.l, l <= -INFINITE, -np.inf)
         np.putmask(self.u, u >= INFINITE, np.inf)
 
+    def unscale(self, z: Array, out: Array) -> Array:
+        """Return the variables ``(n,)`` behind scaled ones, in ``out``."""
+        return np.dot(self.T, z, out=out)
+
     def rows(self, A: Array) -> Array:
         """Return other rows ``(m, n)`` of the QP, scaled as the first ones are."""
         return np.ascontiguousarray(self.E[:, None] * (A @ self.T))
@@ -100,6 +104,10 @@ class Scaling:
         np.dot(self._Tt, g, out=out)
         out *= self.c
         return out
+
+    def level(self) -> float:
+        """Return the largest entry of the scaled ``q`` of the last `update`."""
+        return float(np.abs(self.q).max(initial=0.0))
 
 
 def _whitening(P: Array) -> Array | None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
 
 from qpmpc.arrays import Array, all_finite
-from qpmpc.backends import Backend, Fact, Limits, backend_class
+from qpmpc.backends import Backend, Fact, Limits, RawSolution, backend_class
 from qpmpc.errors import BackendSetupError
 from qpmpc.parametric import Parametric
 from qpmpc.program import QuadraticProgram
@@ -60,6 +61,46 @@ class Solution:
         )
 
 
+class SolverScaling(Protocol):
+    """What a solver asks of a scaling."""
+
+    c: float
+    E: Array
+    q: Array
+    l: Array  # noqa: E741
+    u: Array
+
+    def update(self, q: Array, l: Array, u: Array) -> None:  # noqa: E741
+        """Write the scaled vectors into ``q``, ``l`` and ``u``."""
+        ...
+
+    def unscale(self, z: Array, out: Array) -> Array:
+        """Return the variables behind scaled ones, in ``out``."""
+        ...
+
+
+class SolverParts(Protocol):
+    """What a solver asks of the parts that the QP falls into."""
+
+    def __len__(self) -> int: ...
+
+    def forget(self) -> None:
+        """Forget what the next solve would start from."""
+        ...
+
+    def prepare(self) -> None:
+        """Do what needs no vectors."""
+        ...
+
+    def facts(self) -> list[Mapping[str, Fact]]:
+        """Return what is told of each part."""
+        ...
+
+    def solve(self, q: Array, l: Array, u: Array) -> RawSolution:  # noqa: E741
+        """Solve all of them, scaled."""
+        ...
+
+
 class Solver:
     """One QP family and one backend, persistent: matrices once, vectors at each solve."""
 
@@ -92,25 +133,53 @@ class Solver:
         """
         kind = backend_class(backend) if isinstance(backend, str) else backend
         _require(kind, limits)
-        self.qp, self.backend_name = qp, kind.name
-        self._heeds_rows = kind.heeds_rows
-        self._again = kind.warm_starts
-        self.kind, self.limits, self.scaling = kind, limits, Scaling(qp, groups)
-        if limits.time and self._again:  # a second attempt must find half of the time left
+        self.kind, self.limits = kind, limits
+        scaling = Scaling(qp, groups)
+        if limits.time and kind.warm_starts:  # a second attempt must find half of the time left
             limits = replace(limits, time=limits.time / 2)
-        self._parts = Parts(
+        parts = Parts(
             kind,
-            self.scaling.qp,
+            scaling.qp,
             limits,
             patterns=(qp.P != 0, qp.A != 0 if pattern is None else pattern),
             smallest=smallest_part,
-            parameters=self.scaling.parameters(parameters)
+            parameters=scaling.parameters(parameters)
             if parameters is not None and kind.takes_parameters
             else None,
         )
-        self._check = Check(qp, self.scaling, TOLERANCE)
-        self._x, self._y, self._room = np.zeros(qp.n), np.zeros(qp.m), np.zeros(qp.m)
-        self._to_y = self.scaling.E / self.scaling.c
+        check = Check(qp, scaling, TOLERANCE)
+        self.qp, self._dense = qp, (scaling, parts)
+        self._set_up(
+            kind.name, scaling, parts, check, heeds_rows=kind.heeds_rows, again=kind.warm_starts
+        )
+
+    def _set_up(
+        self,
+        name: str,
+        scaling: SolverScaling,
+        parts: SolverParts,
+        check: Check,
+        *,
+        heeds_rows: bool,
+        again: bool,
+    ) -> None:
+        """Take what was made for one form of the QP.
+
+        Args:
+            name: of the backend. scaling, parts, check: of the same QP.
+            heeds_rows: whether answers satisfy the rows.
+            again: whether a second attempt, begun from nothing, makes sense.
+        """
+        self.backend_name, self._heeds_rows, self._again = name, heeds_rows, again
+        self._scaling, self._parts, self._check = scaling, parts, check
+        n, m = scaling.q.size, scaling.E.size
+        self._x, self._y, self._room = np.zeros(n), np.zeros(m), np.zeros(m)
+        self._to_y = scaling.E / scaling.c
+
+    @property
+    def scaling(self) -> Scaling:
+        """The scaling of a condensed QP."""
+        return self._dense[0]
 
     @property
     def parts(self) -> int:
@@ -119,8 +188,9 @@ class Solver:
 
     def replace_rows(self, A: Array) -> None:
         """Take other rows ``(m, n)`` from the next solve on; penalties and their scale stay."""
+        scaling, parts = self._dense
         self._check.replace_rows(A)
-        self._parts.replace_rows(self.scaling.rows(A))
+        parts.replace_rows(scaling.rows(A))
 
     def forget(self) -> None:
         """Let the next solve start from nothing, where the backend starts from the last one."""
@@ -147,7 +217,7 @@ class Solver:
         refusal = self._refusal(q, l, u)
         if refusal is not None:
             return self._failure(refusal, 0, perf_counter() - begin, 0.0, 0.0)
-        self.scaling.update(q, l, u)
+        self._scaling.update(q, l, u)
         ready = perf_counter()
         status, residuals, iterations, built, spent = self._attempt(q, l, u)
         if status in _DOUBTFUL and self._again:
@@ -183,7 +253,7 @@ class Solver:
         u: Array,
     ) -> tuple[Status, Residuals, int, float, float]:
         """Let the backend solve, bring its answer into the QP's units, and judge it."""
-        scaling = self.scaling
+        scaling = self._scaling
         begin = perf_counter()
         raw = self._parts.solve(scaling.q, scaling.l, scaling.u)
         spent = perf_counter() - begin - raw.build_time
@@ -191,7 +261,7 @@ class Solver:
             return raw.status, UNKNOWN, raw.iterations, raw.build_time, spent
         if not all_finite(raw.x):
             return Status.FAILED, UNKNOWN, raw.iterations, raw.build_time, spent
-        np.dot(scaling.T, raw.x, out=self._x)
+        scaling.unscale(raw.x, self._x)
         np.multiply(raw.y, self._to_y, out=self._y)
         residuals = self._check(q, l, u, self._x, self._y)
         status = self._judge(raw.status, residuals)

@@ -39,6 +39,11 @@ _SEVERITY = {
 }
 
 
+def worst(one: Status, other: Status) -> Status:
+    """Return the graver of what two parts say."""
+    return one if _SEVERITY[one] >= _SEVERITY[other] else other
+
+
 def components(P: Pattern, A: Pattern, smallest: int) -> list[tuple[Indices, Indices]]:
     """Return variables and rows of each component, packed, in the order of their variables.
 
@@ -181,8 +186,7 @@ class Parts:
             answer.y[part.rows] = raw.y
             answer.iterations += raw.iterations
             answer.build_time += raw.build_time
-            if _SEVERITY[raw.status] > _SEVERITY[answer.status]:
-                answer.status = raw.status
+            answer.status = worst(answer.status, raw.status)
         if self._empty.size:
             self._settle_empty(l[self._empty], u[self._empty])
         return answer

@@ -61,6 +61,8 @@ class Experiment:
     """What the backend told of itself, one entry for each problem that it solved a cycle."""
     compilation: Compilation = field(default_factory=lambda: Compilation(False, "not run", 0))
     """Whether the controller's step was compiled."""
+    form: Mapping[str, str] = field(default_factory=dict)
+    """Which form the controller's problem had, and why: ``name`` and ``reason``."""
 
 
 def assemble(scenario: Scenario, report: Report) -> Assembly:
@@ -212,7 +214,11 @@ def run_experiment(
         },
         made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
         made.controller.general.solver.facts(),
-        made.controller.general.compilation,
+        compilation=made.controller.general.compilation,
+        form={
+            "name": made.controller.general.problem.form,
+            "reason": made.controller.form_reason,
+        },
     )
 
 

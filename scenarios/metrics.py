@@ -64,6 +64,7 @@ def summarise(experiment: Experiment) -> Summary:
         "scenario": scenario.name,
         "backend": scenario.backend,
         "backend_facts": [dict(facts) for facts in experiment.backend_facts if facts],
+        "form": dict(experiment.form),
         "seed": scenario.seed,
         "cycles": end,
         "complete": experiment.stopped is None,

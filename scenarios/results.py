@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from scenarios.config import Scenario
 from scenarios.errors import ScenarioError
 from scenarios.experiment import Experiment
 from scenarios.load import dump_scenario
@@ -51,12 +52,18 @@ def result_folder(folder: Path) -> Iterator[Path]:
 
 
 def write_run(experiment: Experiment, summary: Summary, folder: Path) -> None:
-    """Write ``config.toml``, ``summary.json`` and ``log.parquet`` into ``folder``.
+    """Write ``config.toml``, ``summary.json`` and ``log.parquet`` into ``folder``."""
+    write_config(experiment.scenario, folder)
+    (folder / "summary.json").write_text(to_json(summary), encoding="utf-8")
+    experiment.log.write(folder / "log.parquet")
+
+
+def write_config(scenario: Scenario, folder: Path) -> None:
+    """Write ``config.toml`` into ``folder``.
 
     Files that motion and setpoint came from are copied, so that the folder alone repeats the run:
     ``pulsempc run FOLDER/config.toml``.
     """
-    scenario = experiment.scenario
     for key in ("file", "beats"):
         source = getattr(scenario.motion, key)
         if source is not None:
@@ -67,8 +74,6 @@ def write_run(experiment: Experiment, summary: Summary, folder: Path) -> None:
         shutil.copyfile(scenario.setpoint.file, folder / "setpoint.csv")
         scenario = replace(scenario, setpoint=replace(scenario.setpoint, file="setpoint.csv"))
     (folder / "config.toml").write_text(dump_scenario(scenario), encoding="utf-8")
-    (folder / "summary.json").write_text(to_json(summary), encoding="utf-8")
-    experiment.log.write(folder / "log.parquet")
 
 
 def to_json(summary: Summary) -> str:

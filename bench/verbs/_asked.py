@@ -27,13 +27,11 @@ class Asked(Protocol):
     def seed(self) -> int | None: ...
     @property
     def set(self) -> tuple[str, ...]: ...
-    @property
-    def compiled(self) -> Compiled | None: ...
 
 
-def load(asked: Asked, **top: str | None) -> Scenario:
+def load(asked: Asked, *, compiled: Compiled | None = None, **top: str | None) -> Scenario:
     keys = {"duration": asked.duration, "seed": asked.seed, **top}
-    chosen = (f"controller.solver.compiled={asked.compiled}",) if asked.compiled else ()
+    chosen = (f"controller.solver.compiled={compiled}",) if compiled else ()
     return load_scenario(
         asked.scenario,
         top={key: value for key, value in keys.items() if value is not None},

@@ -63,7 +63,7 @@ class Compare:
             raise ScenarioError(f"--backends: names {', '.join(twice)} more than once")
         for name in names:
             backend_class(name)  # an unknown one is told before anything is done
-        scenario = load(self)
+        scenario = load(self, compiled=self.compiled)
         if scenario.setpoint.live is not None:
             raise ScenarioError("setpoint.live: is another one in every run, nothing to compare by")
         folder = self.out or Path("runs") / f"compare-{scenario.name}-{now()}"

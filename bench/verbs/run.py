@@ -55,7 +55,7 @@ class Run:
 
     def run(self) -> int:
         """Simulate, write, show; return the exit code."""
-        scenario = load(self, backend=self.backend)
+        scenario = load(self, backend=self.backend, compiled=self.compiled)
         backend_class(scenario.backend)  # an unknown one is told before anything else is done
         folder = self.out or Path("runs") / f"{scenario.name}-{now()}"
         with (

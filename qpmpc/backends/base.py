@@ -72,6 +72,9 @@ class Backend(Protocol):
     """Whether `expect` does anything with what is known of the vectors to come."""
     compiled: ClassVar[CompiledForm | None] = None
     """How a compiled step solves as this backend does; None: it cannot."""
+    structured: ClassVar[bool] = False
+    """Whether the structured form, an exact active-set method as well, may stand in for it where
+    the horizon is long; see ``docs/long-horizons.md``."""
     construction: ClassVar[Construction] = NUMPY
     """Who builds the matrices of the force controller's problem for this backend."""
 

@@ -72,6 +72,7 @@ class DaqpBackend(Backend):
         flat=_FLAT,
         least=_LEAST,
     )
+    structured: ClassVar[bool] = True
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 
     smallest_part: ClassVar[int] = 64  # 24 variables cost one call what 8 do: it is all overhead

@@ -20,7 +20,6 @@ from qpmpc.native.groups import Whole, groups
 from qpmpc.native.pack import aligned
 from qpmpc.native.source import write
 from qpmpc.observer import KalmanObserver
-from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference
 
 _MOST = 4_000_000
@@ -51,8 +50,6 @@ def obstacle(
 ) -> str | None:
     """Return why a controller cannot have a compiled step, or None where it can."""
     problem, observer = whole.problem, whole.observer
-    if type(problem) is not Problem:
-        return f"the problem is a {type(problem).__name__}"
     entries = problem.qp.n * (3 * problem.qp.m + 2 * problem.qp.n + 3 * problem.free.size)
     if form is None:
         return "the backend has no compiled form"

@@ -67,9 +67,11 @@ def test_json_is_all_there_is_on_standard_output(leave, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["here"]
 
 
-@pytest.mark.parametrize("verb", ["run", "compare", "scenarios", "backends"])
+@pytest.mark.parametrize(
+    "verb", ["run", "compare", "bench", "bench latency", "bench compare", "scenarios", "backends"]
+)
 def test_every_verb_has_help_with_an_example(verb, leave):
-    code, out, _ = leave(verb, "--help")
+    code, out, _ = leave(*verb.split(), "--help")
     assert code == 0
     assert f"`pulsempc {verb}" in out
 
@@ -86,7 +88,7 @@ def test_the_options_of_the_issue_are_in_the_help(leave):
 def test_help_lists_the_verbs(leave):
     code, out, _ = leave("--help")
     assert code == 0
-    for verb in ("run", "compare", "scenarios", "backends"):
+    for verb in ("run", "compare", "bench", "scenarios", "backends"):
         assert verb in out
 
 

@@ -70,7 +70,13 @@ class Instance:
 
 
 def _contact_problem(
-    rng: np.random.Generator, axes: int, horizon: int, *, free: bool = False, **settings: object
+    rng: np.random.Generator,
+    axes: int,
+    horizon: int,
+    *,
+    free: bool = False,
+    kind: type[Problem] = Problem,
+    **settings: object,
 ) -> Problem:
     contact = contact_model(
         rng.uniform(500, 2500), rng.uniform(5, 40), PERIOD, lag=rng.choice([0.0, 1e-3])
@@ -87,7 +93,7 @@ def _contact_problem(
         OutputBound("force", model.C, 0.3, rng.uniform(4.0, 8.0, axes), 100.0),
         OutputBound("velocity", velocity, -speed, speed, 1e4),
     ]
-    return Problem(
+    return kind(
         model,
         horizon,
         output_weight=1.0,

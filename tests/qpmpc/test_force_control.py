@@ -114,6 +114,7 @@ LATERAL = ("bounds.tangential",)
 SOLVER_FIELDS = (
     "solver.max_iterations", "solver.time_limit", "solver.smallest_part", "solver.deadline",
     "solver.compiled",
+    "solver.form",
 )  # fmt: skip
 """What does not change the answer; tested below by what it does change."""
 TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
@@ -207,6 +208,11 @@ def test_fields_of_the_solver_change_how_it_solves() -> None:
         for smallest in (8, 100)
     ]
     assert parts == [3, 1]
+    forms = [
+        ForceController(changed(base, "solver.form", name), ("z",), PERIOD).general.problem.form
+        for name in ("condensed", "structured")
+    ]
+    assert forms == ["condensed", "structured"]
 
 
 def test_effects_are_stated_for_fields_there_are() -> None:

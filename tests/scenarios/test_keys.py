@@ -222,6 +222,20 @@ def test_the_smallest_part_decides_how_many_problems_there_are(smallest, parts):
     assert controller.general.solver.parts == parts
 
 
+def test_the_form_is_told_and_leads_to_the_same_run(press):
+    runs = {
+        name: press(f"controller.solver.form={name}", SLOWER)
+        for name in ("condensed", "structured")
+    }
+    for name, run in runs.items():
+        assert run.summary["form"] == {"name": name, "reason": "asked for"}
+        assert run.summary["status"] == {"solved": 80}
+    commands = [run.log.command for run in runs.values()]
+    assert np.allclose(*commands, atol=1e-6)
+    facts = runs["structured"].summary["backend_facts"]
+    assert [part["solver"] for part in facts] == ["riccati"] * 3
+
+
 # --- changes of bounds ---------------------------------------------------------------------------
 
 

@@ -24,7 +24,7 @@ from scenarios import (
 )
 from scenarios.motion import MotionConfig
 
-NAMES = ("constrained", "ecg", "ideal", "paper", "paper-1d", "paper-law")
+NAMES = ("constrained", "ecg", "ideal", "latency", "paper", "paper-1d", "paper-law")
 
 
 def refusal(*arguments, kind=ScenarioError, **named) -> str:

@@ -1,0 +1,1 @@
+"""What a cycle costs under each backend: recorded cycles, solved by all of them, timed apart."""

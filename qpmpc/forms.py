@@ -1,0 +1,97 @@
+"""Which form a receding-horizon problem takes: condensed, or stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, get_args
+
+from numpy.typing import ArrayLike
+
+from qpmpc.backends import Backend, Limits
+from qpmpc.bounds import Bound, MappedBound
+from qpmpc.construction import Decision
+from qpmpc.errors import BackendSetupError, UnknownNameError
+from qpmpc.models import LinearModel
+from qpmpc.native.errors import CompilerUnavailableError
+from qpmpc.native.toolchain import compiler
+from qpmpc.problem import Problem
+from qpmpc.structured.problem import StructuredProblem
+
+Form = Literal["auto", "condensed", "structured"]
+
+LONG = 32
+"""Horizon from which the structured form is faster, compiled, beside DAQP on the condensed one;
+measured by ``python -m bench.horizons``."""
+
+
+def obstacle(kind: type[Backend], bounds: Sequence[Bound], limits: Limits) -> str | None:
+    """Return why the structured form cannot stand in for a backend, None if it can."""
+    if not kind.structured:
+        return f"backend '{kind.name}' solves the condensed form only"
+    mapped = [bound.name for bound in bounds if isinstance(bound, MappedBound)]
+    if mapped:
+        return f"bound '{mapped[0]}' has a map that changes"
+    if limits.time is not None:
+        return "the structured form has no limit of time"
+    return None
+
+
+def pose(
+    model: LinearModel,
+    horizon: int,
+    *,
+    backend: type[Backend],
+    form: Form = "auto",
+    limits: Limits,
+    output_weight: ArrayLike,
+    increment_weight: ArrayLike,
+    bounds: Sequence[Bound] = (),
+    control_horizon: int | None = None,
+    decision: Decision = "increment",
+) -> tuple[Problem, str]:
+    """Return the problem in one of its forms, and in a few words why in this one.
+
+    ``auto`` takes the structured form where it can be had, the horizon is at least `LONG` and there
+    is a compiler.
+
+    Args:
+        backend, limits: what will solve it.
+        form: see there.
+        model, horizon, output_weight, increment_weight, bounds, control_horizon, decision: as for
+            `Problem`.
+
+    Raises:
+        UnknownNameError: there is no such form. BackendSetupError: ``structured`` cannot be had.
+        ModelError, ShapeError, BoundsError: see `Problem`.
+    """
+    if form not in get_args(Form):
+        raise UnknownNameError("form", form, get_args(Form))
+    against = obstacle(backend, bounds, limits)
+    if form == "structured" and against is not None:
+        raise BackendSetupError(backend.name, f"form 'structured' cannot be had: {against}")
+    if form == "auto":
+        if against is None and horizon < LONG:
+            against = f"the horizon is below {LONG} steps"
+        if against is None and not _compiles():
+            against = "there is no compiler"
+        structured, why = against is None, against or f"the horizon is {LONG} steps or more"
+    else:
+        structured, why = form == "structured", "asked for"
+    arguments: dict[str, Any] = {
+        "output_weight": output_weight, "increment_weight": increment_weight, "bounds": bounds,
+        "control_horizon": control_horizon, "decision": decision,
+    }  # fmt: skip
+    if structured:
+        staged = StructuredProblem(model, horizon, **arguments)
+        if staged.compiled or form == "structured":
+            return staged, why
+        why = "the structured form could not be compiled"
+    return Problem(model, horizon, **arguments, construction=backend.construction), why
+
+
+def _compiles() -> bool:
+    try:
+        compiler()
+    except CompilerUnavailableError:
+        return False
+    return True
