@@ -263,7 +263,9 @@ def test_every_cycle_of_a_closed_loop_is_the_same(name, backend):
 
 
 @pytest.mark.parametrize("backend", ["daqp", "analytic"])
-@pytest.mark.parametrize("name", ["three axes", "one axis", "few moves", "ramp", "lost"])
+@pytest.mark.parametrize(
+    "name", ["three axes", "one axis", "one move", "constant", "ramp", "different bounds"]
+)
 def test_closed_loops_of_their_own_stay_together(name, backend):
     case = CASES[name]
     compiled, interpreted = controllers(case, backend)
