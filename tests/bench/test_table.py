@@ -125,6 +125,7 @@ def summary(**changes):
         "saturation": {"torque": 0.0, "command": 0.125},
         "status": {"solved": 1000},
         "source": SOLVED,
+        "live_setpoint": None,
         "violations": {name: {"count": 0, "worst": 0.0, "integral": 0.0} for name in BEYOND},
     } | changes
 
