@@ -11,6 +11,7 @@ from bench.reference import CommandError
 from qpmpc import ForceController
 from qpmpc.config import FREE, BoundsConfig
 from qpmpc.errors import BackendSetupError
+from qpmpc.native import CompiledStepError
 from scenarios import Experiment, Scenario, Summary, run_experiment, summarise
 from scenarios.experiment import Report
 from scenarios.loop import Stop
@@ -87,7 +88,7 @@ def compare(
             experiment = run_experiment(
                 asked, report=_named(report, backend), stop=stop, held=held, shadow=shadow
             )
-        except BackendSetupError as error:
+        except (BackendSetupError, CompiledStepError) as error:
             comparison.rows.append(_refused(asked, str(error)))
             comparison.experiments.append(None)
             continue
@@ -132,6 +133,7 @@ def _row(experiment: Experiment, schedule: Schedule, errors: NDArray[np.float64]
         "increment_rms": summary["increment_rms"],
         "status": summary["status"],
         "source": summary["source"],
+        "compiled": summary["compiled"],
         "build_us": summary["timing"]["build_us"],
         "solve_us": summary["timing"]["solve_us"],
         "command_error": float(known.max()) if known.size else None,

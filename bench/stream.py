@@ -12,6 +12,7 @@ from plant.cell import Cell
 from plant.interface import JointSpace, Measurement, Truth
 from qpmpc import ForceController, Step
 from qpmpc.backends import Backend
+from qpmpc.controller import Compiled
 from scenarios import Scenario, ScenarioError, Schedule, Setpoint, control_loop
 from scenarios.experiment import Report, assemble
 from scenarios.loop import Stop
@@ -104,18 +105,28 @@ def record(scenario: Scenario, *, report: Report, stop: Stop) -> Stream | None:
 class Replay:
     """One controller that meets a stream: what the loop would hand it, without the loop."""
 
-    def __init__(self, stream: Stream, horizon: int, backend: str | type[Backend]) -> None:
+    def __init__(
+        self,
+        stream: Stream,
+        horizon: int,
+        backend: str | type[Backend],
+        *,
+        compiled: Compiled = "off",
+    ) -> None:
         """Build the controller of the stream's scenario for another backend and horizon.
 
         Args:
             stream: what it will meet.
             horizon: N; all else is as the scenario says.
             backend: a registered name or a backend class.
+            compiled: whether its step is a compiled one.
 
         Raises:
-            QpmpcError: the backend refuses the problem.
+            QpmpcError: there is no such step, or the backend refuses the problem.
         """
-        config = replace(stream.scenario.controller, horizon=horizon)
+        config = stream.scenario.controller
+        solver = replace(config.solver, compiled=compiled)
+        config = replace(config, horizon=horizon, solver=solver)
         scenario = replace(stream.scenario, controller=config)
         self.horizon = horizon
         period = scenario.cell.period
@@ -156,6 +167,8 @@ class Replay:
         general = self.controller.general
         general.reset(self.states[k], self.previous[k])
         general.solver.forget()
+        if general.compiled is not None:
+            general.compiled.forget()
         for name in self._schedule.moving:
             self.controller.move(name, *self._schedule.preview(name, k))
 

@@ -39,6 +39,16 @@ def force_table(summary: Summary) -> Table:
     return table
 
 
+def compiled_line(compiled: Summary) -> str:
+    """Which path the steps took."""
+    if not compiled["used"]:
+        return f"step: interpreted ({compiled['reason']})"
+    handed = compiled["interpreted_cycles"]
+    return "step: compiled" + (
+        f", {handed} cycles handed to the interpreted path" if handed else ""
+    )
+
+
 def timing_lines(summary: Summary) -> list[str]:
     """What the run cost and how it went, in a few lines."""
     timing, saturation = summary["timing"], summary["saturation"]
@@ -61,6 +71,7 @@ def timing_lines(summary: Summary) -> list[str]:
         f"saturated cycles: torque {_number(saturation['torque'], '.2%')}, "
         f"command {_number(saturation['command'], '.2%')}; status: " + _counts(summary["status"])
     )
+    lines.append(compiled_line(summary["compiled"]))
     fallbacks = {name: n for name, n in summary["source"].items() if name != "solution"}
     if any(fallbacks.values()):
         lines.append(f"cycles without a usable answer, command from: {_counts(fallbacks)}")
@@ -149,7 +160,8 @@ def comparison_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
         if "status" not in row:
             lines.append(f"{row['backend']}: refused the problem")
             continue
-        line = f"{row['backend']}: {_counts(row['status'])}"
+        path = "compiled" if row["compiled"]["used"] else "interpreted"
+        line = f"{row['backend']} ({path}): {_counts(row['status'])}"
         fallbacks = {name: n for name, n in row["source"].items() if name != "solution"}
         if any(fallbacks.values()):
             line += f"; command from {_counts(fallbacks)}"

@@ -39,7 +39,7 @@ from qpmpc.config import (
 )
 from qpmpc.construction import NUMPY, Construction
 from qpmpc.contact import ContactModel, contact_model
-from qpmpc.controller import Controller, Step, Times
+from qpmpc.controller import Compilation, Controller
 from qpmpc.errors import (
     BackendSetupError,
     BackendUnavailableError,
@@ -55,6 +55,7 @@ from qpmpc.fallback import Source
 from qpmpc.force_control import ForceController
 from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, from_state_space, stack, zero_order_hold
+from qpmpc.native import CompiledStepError
 from qpmpc.observer import KalmanObserver
 from qpmpc.parametric import Parametric
 from qpmpc.penalties import ordered
@@ -65,6 +66,7 @@ from qpmpc.reference import ExponentialReference
 from qpmpc.residuals import Residuals
 from qpmpc.solver import Solution, Solver, solve
 from qpmpc.status import Status
+from qpmpc.step import Step, Times
 
 __all__ = [
     "NUMPY",
@@ -76,6 +78,8 @@ __all__ = [
     "BoundsConfig",
     "BoundsError",
     "CommandBound",
+    "Compilation",
+    "CompiledStepError",
     "Construction",
     "ContactModel",
     "Controller",

@@ -135,6 +135,8 @@ class SolverConfig:
     deadline: Annotated[float, Gt(0)] | None = None
     """Time from the start of a step by which its answer has to be there [s]; one that is later is
     not applied, the last plan goes on. None if not given: an answer is applied however late."""
+    compiled: Literal["auto", "on", "off"] = "auto"
+    """Whether a step is compiled C: where it can be had, or always (else an error), or never."""
     form: Literal["auto", "condensed", "structured"] = "auto"
     """``condensed``: one matrix over the horizon; ``structured``: stage by stage, at a cost that
     grows linearly with the horizon; ``auto``: whichever is faster, where the backend leaves the

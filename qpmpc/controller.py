@@ -2,76 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, all_finite
 from qpmpc.backends import Backend, Limits, backend_class
-from qpmpc.errors import ModelError, ShapeError
+from qpmpc.errors import ModelError, QpmpcError, ShapeError, UnknownNameError
 from qpmpc.expectation import Ranges, expected
 from qpmpc.fallback import Fallback, Source
+from qpmpc.native import CompiledStepError
+from qpmpc.native.compiled import Code, CompiledStep, obstacle
+from qpmpc.native.groups import Whole
 from qpmpc.observer import KalmanObserver
 from qpmpc.problem import Problem
-from qpmpc.reference import Reference
-from qpmpc.residuals import Residuals
-from qpmpc.solver import NO_LIMITS
+from qpmpc.reference import ExponentialReference, Reference
+from qpmpc.solver import NO_LIMITS, TOLERANCE
 from qpmpc.status import Status
+from qpmpc.step import CompiledRecord, Layout, Step, Times
+
+Compiled = Literal["auto", "on", "off"]
+"""Whether a step is compiled."""
 
 _CLIP_TOLERANCE = 1e-6
 """Share of the room between the bounds that a solver's tolerance may cost without a word."""
 
 
-@dataclass(frozen=True, slots=True)
-class Times:
-    """Where a step's time went [s]."""
+@dataclass(frozen=True)
+class Compilation:
+    """Which path a controller's cycles take."""
 
-    update: float
-    """Observer, reference, vectors of the QP and their scaling."""
-    build: float
-    """Bringing new rows into the solver, and what a backend that cannot be updated takes to build
-    its problem anew; 0 otherwise."""
-    solve: float
-    """The backend without that."""
-    step: float
-    """The whole step, from measurement to command."""
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What one cycle decided and how. Arrays are the step's own."""
-
-    status: Status
-    """How the solve ended."""
-    source: Source
-    """Where the command came from: the solve, or what stood in for it."""
-    command: Array
-    """u(k), to be applied now, ``(n_inputs,)``."""
-    decision: Array
-    """Increments Delta u(k) ... (absolute commands where so configured), ``(N_u, n_inputs)``."""
-    predicted: Array
-    """Outputs y(k+1) ... y(k+N) under the decision, ``(N, n_outputs)``."""
-    violation: Array
-    """What each row of the QP gave way, in its own unit, ``(m,)``."""
-    rows: Mapping[str, slice]
-    """Where each bound's rows are."""
-    residuals: Residuals
-    iterations: int
-    times: Times
-
-    @property
-    def slack(self) -> dict[str, Array]:
-        """Violation by the plan of every bound that has rows, by its name, in its unit."""
-        return {name: self.violation[rows] for name, rows in self.rows.items()}
-
-    def __repr__(self) -> str:
-        return (
-            f"Step({self.status}, command={np.array2string(self.command, precision=4)}, "
-            f"{self.times.step * 1e6:.0f} us)"
-        )
+    used: bool
+    """Whether there is a compiled step."""
+    reason: str | None
+    """Why there is none; None where there is."""
+    interpreted_cycles: int
+    """Cycles that the compiled step handed over to the interpreted one."""
 
 
 class Controller:
@@ -93,8 +62,9 @@ class Controller:
         smallest_part: int | None = None,
         deadline: float | None = None,
         ranges: Ranges | None = None,
+        compiled: Compiled = "auto",
     ) -> None:
-        """Join the parts; the backend is set up and primed here.
+        """Join the parts; the backend is set up and primed here, and the step compiled.
 
         Args:
             problem: the condensed problem; its model is the observer's.
@@ -105,13 +75,19 @@ class Controller:
             smallest_part: see `Solver`.
             deadline: of every step, from its start [s]; none if not given. See `step`.
             ranges: what state and setpoint are expected to be, for backends that prepare for it.
+            compiled: whether to decide by a compiled step: "auto" where it can be had, "on" or not
+                at all, "off" never.
 
         Raises:
             ModelError: the deadline is not positive.
-            UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`.
+            UnknownNameError, BackendUnavailableError, BackendSetupError: see `Solver`; ``compiled``
+                is none of these.
+            CompiledStepError: it is "on", and there is none; the reason is with it.
         """
         if deadline is not None and not deadline > 0:
             raise ModelError(f"deadline must be positive, got {deadline} s")
+        if compiled not in get_args(Compiled):
+            raise UnknownNameError("choice of compiled", compiled, get_args(Compiled))
         self.problem, self.observer, self.reference = problem, observer, reference
         kind = backend_class(backend) if isinstance(backend, str) else backend
         self.solver = problem.solver(
@@ -130,24 +106,37 @@ class Controller:
         self._C = np.array(problem.model.C)
         self._measured, self._previewed = (observer.gain.shape[1],), (problem.horizon + 1, n_y)
         self._output = np.zeros(n_y)
-        self._prepared = True
+        self._prepared = np.ones(1, dtype=np.int64)
         self.command = np.zeros(n_u)
         """The command of the last step, u(k-1) of the next one, ``(n_inputs,)``."""
+        self.compiled: CompiledStep | None = None
+        """The compiled step, where there is one; its `step` is for those who need no record."""
+        self._reason: str | None = "switched off"
+        if compiled != "off":
+            self._compile(required=compiled == "on")
         self.reset(observer.state.copy())
+
+    @property
+    def compilation(self) -> Compilation:
+        """Whether there is a compiled step, why not, and how often it handed a cycle over."""
+        handed = self.compiled.interpreted if self.compiled is not None else 0
+        return Compilation(self.compiled is not None, self._reason, handed)
 
     def reset(self, state: ArrayLike = 0.0, command: ArrayLike = 0.0) -> None:
         """Start anew from a state estimate ``(n,)`` and the command applied so far."""
         self.observer.reset(state)
         self.command[:] = command
         self._fallback.forget()
-        self._prepared = True
+        self._prepared[0] = 1
 
     def prepare(self) -> None:
         """Advance the observer under the command just applied; needs no measurement."""
-        if not self._prepared:
+        if self.compiled is not None:
+            self.compiled.prepare()
+        elif not self._prepared[0]:
             self.observer.predict(self.command)
             self.solver.prepare()
-            self._prepared = True
+            self._prepared[0] = 1
 
     def step(self, measurement: Array, preview: Array, *, deadline: float | None = None) -> Step:
         """Decide the command of this cycle.
@@ -176,9 +165,33 @@ class Controller:
             ShapeError: an argument has another shape.
         """
         begin = perf_counter()
-        due = begin + (self.deadline if deadline is None else deadline)
+        remaining = self.deadline if deadline is None else deadline
         if measurement.shape != self._measured or preview.shape != self._previewed:
             self._complain(measurement, preview)
+        compiled = self.compiled
+        if compiled is None:
+            return self._interpret(measurement, preview, begin, remaining)
+        code = compiled.attempt(measurement, preview, remaining)
+        if code > Code.CLIPPED:
+            compiled.interpreted += 1
+            return self._interpret(measurement, preview, begin, remaining)
+        return CompiledRecord(
+            Status.CLIPPED if code else Status.SOLVED,
+            compiled.values.copy(),
+            self._layout,
+            int(compiled.counts[0]),
+            perf_counter() - begin,
+        )
+
+    def _hand_over(self, measurement: Array, preview: Array, remaining: float) -> None:
+        """Decide in place of a compiled step that could not."""
+        self._interpret(measurement, preview, perf_counter(), remaining)
+
+    def _interpret(
+        self, measurement: Array, preview: Array, begin: float, remaining: float
+    ) -> Step:
+        """Decide step by step in numpy; ``remaining``: what was left at ``begin`` [s]."""
+        due = begin + remaining
         self.prepare()
         problem, previous = self.problem, self.command
         measured = all_finite(measurement)
@@ -207,7 +220,7 @@ class Controller:
             violation = problem.excess(decision)
         predicted = problem.predict(decision)
         self.command[:] = command
-        self._prepared = False
+        self._prepared[0] = 0
         now = perf_counter()
         return Step(
             status,
@@ -226,6 +239,41 @@ class Controller:
                 now - begin,
             ),
         )
+
+    def _compile(self, *, required: bool) -> None:
+        """Make the compiled step, or note why there is none.
+
+        Raises:
+            CompiledStepError: there is none, and it is required.
+        """
+        problem, solver = self.problem, self.solver
+        if type(problem) is not Problem:
+            form, self._reason = None, f"the problem is a {type(problem).__name__}"
+        else:  # a form is not inherited: what a subclass does in another way is not in it
+            form = vars(solver.kind).get("compiled")
+            whole = Whole(problem, self.observer, solver.scaling)
+            self._reason = obstacle(form, whole, self.reference, solver.limits.time)
+        if self._reason is None and form is not None:
+            shapes = (problem.moves, self._n_u), (problem.horizon, problem.model.n_outputs)
+            self._layout = Layout.of(problem.rows, *shapes, problem.qp.m)
+            try:
+                self.compiled = CompiledStep(
+                    form,
+                    whole,
+                    reference=cast(ExponentialReference, self.reference),
+                    fallback=self._fallback,
+                    command=self.command,
+                    prepared=self._prepared,
+                    iterations=form.iterations(
+                        solver.limits.iterations, problem.qp.n + problem.qp.m
+                    ),
+                    interpret=self._hand_over,
+                    figures={"TOLERANCE": TOLERANCE, "CLIP_TOLERANCE": _CLIP_TOLERANCE},
+                )
+            except QpmpcError as error:
+                self._reason = str(error)
+        if required and self._reason is not None:
+            raise CompiledStepError(self._reason)
 
     def _clip(self, status: Status, command: Array) -> tuple[Status, Array]:
         """Clip a command to its bounds; say so where that is more than a solver's tolerance."""

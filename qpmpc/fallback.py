@@ -34,21 +34,23 @@ class Fallback:
     def __init__(self, problem: Problem) -> None:
         """Prepare for a problem whose Hessian is positive definite."""
         self._problem = problem
-        self._plan = np.zeros((problem.moves, problem.model.n_inputs))
-        self._next = problem.moves
+        self.plan = np.zeros((problem.moves, problem.model.n_inputs))
+        """Commands of the last plan, ``(N_u, n_inputs)``."""
+        self.cursor = np.array([problem.moves])
+        """Which of them is the next, ``(1,)``; N_u: none is left."""
 
     def forget(self) -> None:
         """Drop the plan: the plant is another, or somewhere else."""
-        self._next = self._problem.moves
+        self.cursor[0] = self._problem.moves
 
     def remember(self, decision: Array, previous: Array) -> None:
         """Keep the plan ``decision (n_z,)`` that was made with u(k-1) = ``previous``."""
-        plan = self._plan
+        plan = self.plan
         np.copyto(plan, decision.reshape(plan.shape))
         if self._problem.decision == "increment":
             np.cumsum(plan, axis=0, out=plan)
             plan += previous
-        self._next = 1
+        self.cursor[0] = 1
 
     def decide(self, previous: Array, *, measured: bool) -> tuple[Source, Array, Array]:
         """Return where the command comes from, the command ``(n_inputs,)``, and the plan.
@@ -57,12 +59,12 @@ class Fallback:
             previous: u(k-1), ``(n_inputs,)``.
             measured: whether the problem's vectors rest on a measurement of this cycle.
         """
-        problem, plan = self._problem, self._plan
+        problem, plan, following = self._problem, self.plan, int(self.cursor[0])
         low, high = problem.limits(previous)
-        if self._next < problem.moves:
-            rest = np.clip(plan[self._next], low, high)
-            commands = np.vstack([rest, plan[self._next + 1 :]])
-            self._next += 1
+        if following < problem.moves:
+            rest = np.clip(plan[following], low, high)
+            commands = np.vstack([rest, plan[following + 1 :]])
+            self.cursor[0] += 1
             return Source.PLAN, rest, problem.decide(commands, previous)
         if measured and all_finite(problem.q):
             decision = problem.unconstrained()

@@ -14,7 +14,7 @@ from qpmpc.backends import Backend, Limits, backend_class
 from qpmpc.bounds import Bound, CommandBound, MappedBound, OutputBound, RateBound
 from qpmpc.cone import force_cone
 from qpmpc.config import Band, ControllerConfig, PerAxis, SoftBoundName
-from qpmpc.controller import Controller, Step
+from qpmpc.controller import Controller
 from qpmpc.errors import BoundsError, UnknownNameError
 from qpmpc.expectation import Ranges
 from qpmpc.forms import pose
@@ -23,6 +23,7 @@ from qpmpc.models import LinearModel, stack
 from qpmpc.observer import KalmanObserver
 from qpmpc.penalties import SoftBound, ordered
 from qpmpc.reference import ExponentialReference
+from qpmpc.step import Step
 
 Axis = Literal["x", "y", "z"]
 _MOVABLE = ("command", "rate", "velocity", "force")
@@ -116,6 +117,7 @@ class ForceController:
             problem, observer, reference, kind, limits,
             smallest_part=config.solver.smallest_part, deadline=config.solver.deadline,
             ranges=self.ranges,
+            compiled=config.solver.compiled,
         )  # fmt: skip
         self._measurement = np.zeros((count, axis.measured.shape[0]))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, solve_discrete_are
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from qpmpc.arrays import Array, matrix
 from qpmpc.errors import ObserverError
@@ -17,10 +19,30 @@ def kalman_gain(A: Array, C: Array, W: Array, V: Array) -> Array:
     ``x(k|k) = x(k|k-1) + L (y(k) - C x(k|k-1))`` with L from the discrete algebraic Riccati
     equation for process noise W ``(n, n)`` and measurement noise V ``(n_measured, n_measured)``.
 
+    What nothing couples is solved apart, so that axes do not leak into each other by rounding.
+
     Raises:
         ObserverError: the equation has no stabilising solution: what is measured does not tell
             some state that does not decay by itself.
     """
+    n = A.shape[0]
+    L = np.zeros((n, C.shape[0]))
+    links = np.block([[A, C.T], [C, V]]) != 0
+    links[:n, :n] |= W != 0
+    count, label = connected_components(csr_matrix(links), directed=False)
+    for i in range(count):
+        x, y = np.flatnonzero(label[:n] == i), np.flatnonzero(label[n:] == i)
+        if x.size:
+            own, seen = np.ix_(x, x), np.ix_(y, x)
+            L[np.ix_(x, y)] = _coupled_gain(A[own], C[seen], W[own], V[np.ix_(y, y)])
+    return L
+
+
+def _coupled_gain(A: Array, C: Array, W: Array, V: Array) -> Array:
+    """Return the gain of one subsystem."""
+    if not C.size:
+        _require_stable(A)
+        return np.zeros((A.shape[0], 0))
     # Forces in N, accelerations of tens of m/s^2 and noise of micrometres per second meet here:
     # scale states and measurements to unit noise gains before the Riccati solver sees them.
     scale_y = 1.0 / np.sqrt(np.diag(V))
@@ -36,10 +58,14 @@ def kalman_gain(A: Array, C: Array, W: Array, V: Array) -> Array:
             f"no steady-state observer: the measured outputs do not determine every state ({error})"
         ) from error
     L = np.linalg.solve(C_s @ P @ C_s.T + V_s, C_s @ P).T
-    radius = np.abs(np.linalg.eigvals((np.eye(A.shape[0]) - L @ C_s) @ A_s)).max()
+    _require_stable((np.eye(A.shape[0]) - L @ C_s) @ A_s)
+    return np.asarray(L / scale_x[:, None] * scale_y)
+
+
+def _require_stable(closed: Array) -> None:
+    radius = np.abs(np.linalg.eigvals(closed)).max()
     if not radius < 1.0:
         raise ObserverError(f"no stable observer: its slowest pole would lie at {radius:.6f}")
-    return L / scale_x[:, None] * scale_y
 
 
 def _state_scale(A: Array, C: Array) -> Array:
@@ -78,7 +104,8 @@ class KalmanObserver:
             ObserverError: no steady-state observer exists.
         """
         n = model.n_states
-        self._A, self._B = np.array(model.A), np.array(model.B)
+        self.A, self.B = np.array(model.A), np.array(model.B)
+        """The model's matrices, ``(n, n)`` and ``(n, n_inputs)``."""
         self.measured = np.array(matrix("measured", measured, columns=n))
         """Rows that are measured, ``(n_measured, n)``."""
         m = self.measured.shape[0]
@@ -86,7 +113,7 @@ class KalmanObserver:
         V = matrix("measurement_noise", measurement_noise, m, m)
         if np.linalg.eigvalsh(V).min() <= 0:
             raise ObserverError("measurement_noise must be positive definite")
-        self.gain = kalman_gain(self._A, self.measured, W, V)
+        self.gain = kalman_gain(self.A, self.measured, W, V)
         self.state = np.zeros(n)
         self._innovation = np.zeros(m)
         self._work, self._work2 = np.zeros(n), np.zeros(n)
@@ -104,7 +131,7 @@ class KalmanObserver:
 
     def predict(self, command: Array) -> Array:
         """Advance by one cycle under the applied command ``(n_inputs,)``; return x(k+1|k)."""
-        np.dot(self._A, self.state, out=self._work)
-        self._work += np.dot(self._B, command, out=self._work2)
+        np.dot(self.A, self.state, out=self._work)
+        self._work += np.dot(self.B, command, out=self._work2)
         self.state[:] = self._work
         return self.state

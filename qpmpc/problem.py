@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar, get_args
 
 import numpy as np
@@ -22,6 +23,33 @@ from qpmpc.solver import NO_LIMITS, Solver
 
 Affine = tuple[Array, Array]
 """Constant ``(n,)`` and map ``(n, d)`` of parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """How the vectors of the QP depend on what is known in a cycle; constant."""
+
+    gradient: Array
+    """From reference minus free response to q, ``(n_z, N * n_outputs)``."""
+    free: Array
+    """From state and last command to the free response, ``(N * n_outputs, n + n_inputs)``."""
+    rows: Array
+    """From the same to what each row is at a zero decision, ``(m, n + n_inputs)``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Present:
+    """What bounds are in this cycle; `Problem.move` writes into these arrays."""
+
+    lower: Array
+    """Of each row, whatever the state, ``(m,)``."""
+    upper: Array
+    low: Array
+    """Of u(k), ``(n_inputs,)``."""
+    high: Array
+    fall: Array
+    """Of the change of u(k), ``(n_inputs,)``."""
+    rise: Array
 
 
 class Problem:
@@ -141,6 +169,21 @@ class Problem:
         self.q = np.zeros(self.qp.n)
         """Gradient of the last `update`, ``(n_z,)``."""
         self.l, self.u = np.zeros(self.qp.m), np.zeros(self.qp.m)
+
+    @property
+    def maps(self) -> Maps:
+        """The maps behind `update`, without the rows of mapped bounds."""
+        return Maps(self._error_to_q, self._free_map, self._row_map)
+
+    @property
+    def present(self) -> Present:
+        """The memory that holds the bounds as they are now."""
+        return Present(self._l0, self._u0, *self._first[CommandBound], *self._first[RateBound])
+
+    @property
+    def mapped(self) -> list[str]:
+        """Names of the bounds whose rows `map` changes."""
+        return [rows.name for rows, _ in self._mapped]
 
     def move(self, name: str, lower: ArrayLike, upper: ArrayLike) -> None:
         """Change the bound called ``name`` from the next `update` on: a cap that moves in time.

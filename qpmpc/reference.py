@@ -26,7 +26,9 @@ class ExponentialReference:
         if not time_constant >= 0:
             raise ModelError(f"time_constant must not be negative, got {time_constant} s")
         self.alpha = math.exp(-period / time_constant) if time_constant > 0 else 0.0
-        self._decay = np.repeat(self.alpha ** np.arange(1, horizon + 1)[:, None], n_outputs, axis=1)
+        self.decay = self.alpha ** np.arange(1, horizon + 1)
+        """alpha^i, i = 1..N, ``(N,)``."""
+        self._decay = np.repeat(self.decay[:, None], n_outputs, axis=1)
         self._trajectory = np.empty((horizon, n_outputs))
 
     def __call__(self, preview: Array, output: Array) -> Array:

@@ -133,6 +133,7 @@ class Solver:
         """
         kind = backend_class(backend) if isinstance(backend, str) else backend
         _require(kind, limits)
+        self.kind, self.limits = kind, limits
         scaling = Scaling(qp, groups)
         if limits.time and kind.warm_starts:  # a second attempt must find half of the time left
             limits = replace(limits, time=limits.time / 2)
@@ -174,6 +175,11 @@ class Solver:
         n, m = scaling.q.size, scaling.E.size
         self._x, self._y, self._room = np.zeros(n), np.zeros(m), np.zeros(m)
         self._to_y = scaling.E / scaling.c
+
+    @property
+    def scaling(self) -> Scaling:
+        """The scaling of a condensed QP."""
+        return self._dense[0]
 
     @property
     def parts(self) -> int:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from plant.cell import Cell, heart_programme
 from plant.errors import UnstableSimulationError
 from qpmpc.backends import Fact, backend_class
+from qpmpc.controller import Compilation
 from qpmpc.force_control import ForceController
 from scenarios.config import Scenario
 from scenarios.consistency import band
@@ -59,6 +60,8 @@ class Experiment:
     """What came of a setpoint that was sent, see `scenarios.live.Counts`; None without one."""
     backend_facts: Sequence[Mapping[str, Fact]] = ()
     """What the backend told of itself, one entry for each problem that it solved a cycle."""
+    compilation: Compilation = field(default_factory=lambda: Compilation(False, "not run", 0))
+    """Whether the controller's step was compiled."""
     form: Mapping[str, str] = field(default_factory=dict)
     """Which form the controller's problem had, and why: ``name`` and ``reason``."""
 
@@ -214,6 +217,7 @@ def run_experiment(
         },
         made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
         made.controller.general.solver.facts(),
+        compilation=made.controller.general.compilation,
         form={
             "name": made.controller.general.problem.form,
             "reason": made.controller.form_reason,

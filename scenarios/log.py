@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from plant.interface import Cause, Measurement, Trip, Truth
-from qpmpc.controller import Step
 from qpmpc.fallback import Source
 from qpmpc.status import Status
+from qpmpc.step import Step
 from scenarios.live import Source as SetpointSource
 from scenarios.motion import Axis
 

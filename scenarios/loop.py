@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.interface import JointPlant, Plant
-from qpmpc.controller import Step
 from qpmpc.force_control import ForceController
+from qpmpc.step import Step
 from scenarios.cycle import ControlCycle
 from scenarios.live import LiveSetpoint
 from scenarios.log import Log

@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import platform
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,7 @@ def summarise(experiment: Experiment) -> Summary:
         "source": log.source_counts(),
         "physics": physics_loop().told,
         "live_setpoint": experiment.live,
+        "compiled": asdict(experiment.compilation),
         "versions": versions(),
     }
 

@@ -86,6 +86,20 @@ class Interpreted:
         return self._general.step(measurement, preview)
 
 
+class CompiledCall(Interpreted):
+    """The one call of generated C, of a controller that has one; a step's record is not made."""
+
+    path: Way = "compiled"
+    tells = False
+
+    def __init__(self, backend: str, replay: Replay) -> None:
+        """Take the compiled step of a replay's controller."""
+        super().__init__(backend, replay)
+        compiled = self._general.compiled
+        assert compiled is not None, "the replay was to be compiled"
+        self.prepare, self.step = compiled.prepare, compiled.step
+
+
 class Times:
     """Times of all passes, allocated ahead: ``(passes, instances)`` a stage [ns]."""
 

@@ -8,12 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bench.latency.judge import Standard, Verdict, judge
-from bench.latency.lanes import Interpreted, Lane, Times, drive
+from bench.latency.lanes import CompiledCall, Interpreted, Lane, Times, drive
 from bench.latency.result import LeftOut, Mode, Percentiles, Row, Way
 from bench.latency.result import Stream as StreamFacts
 from bench.latency.statistics import percentiles, representative
 from bench.realtime import Clock, Pacer
 from bench.stream import Replay, Stream
+from qpmpc.backends import backend_class
+from qpmpc.controller import Compiled
 from qpmpc.errors import QpmpcError
 from scenarios.experiment import Report
 from scenarios.loop import Stop, quiet_memory
@@ -146,10 +148,12 @@ def _line_up(stream: Stream, horizon: int, settings: Settings) -> tuple[list[Ent
     entries, left_out = [], []
     for backend in dict.fromkeys((YARDSTICK, *settings.backends)):
         for path in settings.paths:
-            if path == "compiled":
+            if path == "compiled" and vars(backend_class(backend)).get("compiled") is None:
                 continue
+            lane, compiled = _LANES[path]
             try:
-                entries.append(Entry(_LANES[path](backend, Replay(stream, horizon, backend))))
+                replay = Replay(stream, horizon, backend, compiled=compiled)
+                entries.append(Entry(lane(backend, replay)))
             except QpmpcError as error:
                 left_out.append(
                     LeftOut(backend, path, horizon, stream.axes, None, str(error).strip())
@@ -157,7 +161,10 @@ def _line_up(stream: Stream, horizon: int, settings: Settings) -> tuple[list[Ent
     return entries, left_out
 
 
-_LANES = {"interpreted": Interpreted}
+_LANES: dict[Way, tuple[type[Interpreted], Compiled]] = {
+    "interpreted": (Interpreted, "off"),
+    "compiled": (CompiledCall, "on"),
+}
 
 
 def _judge_all(

@@ -4,6 +4,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
+from qpmpc.controller import Compiled
 from scenarios import Scenario, load_scenario
 
 FAILED = 1
@@ -28,15 +29,16 @@ class Asked(Protocol):
     def set(self) -> tuple[str, ...]: ...
 
 
-def load(asked: Asked, **top: str | None) -> Scenario:
+def load(asked: Asked, *, compiled: Compiled | None = None, **top: str | None) -> Scenario:
     keys = {"duration": asked.duration, "seed": asked.seed, **top}
+    chosen = (f"controller.solver.compiled={compiled}",) if compiled else ()
     return load_scenario(
         asked.scenario,
         top={key: value for key, value in keys.items() if value is not None},
         motion=asked.motion,
         beats=asked.beats,
         setpoint=asked.setpoint,
-        settings=asked.set,
+        settings=(*asked.set, *chosen),
     )
 
 

@@ -8,11 +8,13 @@ import tyro
 from bench.verbs.deadline import Deadline
 from bench.verbs.latency import Latency
 from bench.verbs.latency_compare import CompareLatency
+from bench.verbs.steady import SteadyMemory
 
 _Measurement = (
     Annotated[Latency, tyro.conf.subcommand("latency")]
     | Annotated[Deadline, tyro.conf.subcommand("deadline")]
     | Annotated[CompareLatency, tyro.conf.subcommand("compare")]
+    | Annotated[SteadyMemory, tyro.conf.subcommand("steady")]
 )
 
 

@@ -15,6 +15,7 @@ from bench.progress import Reporter, ctrl_c
 from bench.table import comparison_lines, comparison_tables
 from bench.verbs._asked import FAILED, load, now
 from qpmpc.backends import backend_class
+from qpmpc.controller import Compiled
 from scenarios import Experiment, ScenarioError, summarise
 from scenarios.results import result_folder, to_json, write_run
 
@@ -35,6 +36,8 @@ class Compare:
     """Solvers, see `pulsempc backends`, separated by commas."""
     bounds: Literal["on", "off"] = "on"
     """Whether the controller knows the bounds; violations are counted in either case."""
+    compiled: Compiled | None = None
+    """Whether the controller's step is compiled C: where it can be, or not at all, or never."""
     motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
     """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
     beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
@@ -60,7 +63,7 @@ class Compare:
             raise ScenarioError(f"--backends: names {', '.join(twice)} more than once")
         for name in names:
             backend_class(name)  # an unknown one is told before anything is done
-        scenario = load(self)
+        scenario = load(self, compiled=self.compiled)
         if scenario.setpoint.live is not None:
             raise ScenarioError("setpoint.live: is another one in every run, nothing to compare by")
         folder = self.out or Path("runs") / f"compare-{scenario.name}-{now()}"

@@ -15,6 +15,7 @@ from bench.progress import Reporter, ctrl_c
 from bench.table import force_table, timing_lines, trip_line
 from bench.verbs._asked import FAILED, load, now
 from qpmpc.backends import backend_class
+from qpmpc.controller import Compiled
 from scenarios import run_experiment, summarise
 from scenarios.results import result_folder, to_json, write_run
 
@@ -33,6 +34,8 @@ class Run:
     """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
     backend: Annotated[str | None, _arg(metavar="NAME")] = None
     """Solver, see `pulsempc backends`."""
+    compiled: Compiled | None = None
+    """Whether the controller's step is compiled C: where it can be, or not at all, or never."""
     motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
     """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
     beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
@@ -52,7 +55,7 @@ class Run:
 
     def run(self) -> int:
         """Simulate, write, show; return the exit code."""
-        scenario = load(self, backend=self.backend)
+        scenario = load(self, backend=self.backend, compiled=self.compiled)
         backend_class(scenario.backend)  # an unknown one is told before anything else is done
         folder = self.out or Path("runs") / f"{scenario.name}-{now()}"
         with (

@@ -11,6 +11,8 @@ from qpmpc.arrays import Array
 from qpmpc.backends._registry import register
 from qpmpc.backends.base import Backend, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
+from qpmpc.native.closed_form import ClosedForm
+from qpmpc.native.forms import CompiledForm
 from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
 
@@ -28,6 +30,7 @@ class AnalyticBackend(Backend):
     summary: ClassVar[str] = "closed form of the paper; clips the command, ignores other bounds"
     heeds_rows: ClassVar[bool] = False
     replaces_rows: ClassVar[bool] = True
+    compiled: ClassVar[CompiledForm | None] = ClosedForm()
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))  # takes no iteration
 
     def __init__(self, qp: QuadraticProgram, limits: Limits) -> None:  # noqa: ARG002

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, Protocol
 
 from qpmpc.arrays import Array
 from qpmpc.construction import NUMPY, Construction
+from qpmpc.native.forms import CompiledForm
 from qpmpc.parametric import Parametric
 from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
@@ -69,6 +70,8 @@ class Backend(Protocol):
     up to this size, the call costs less than two."""
     takes_parameters: ClassVar[bool] = False
     """Whether `expect` does anything with what is known of the vectors to come."""
+    compiled: ClassVar[CompiledForm | None] = None
+    """How a compiled step solves as this backend does; None: it cannot."""
     structured: ClassVar[bool] = False
     """Whether the structured form, an exact active-set method as well, may stand in for it where
     the horizon is long; see ``docs/long-horizons.md``."""

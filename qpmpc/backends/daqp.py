@@ -11,10 +11,21 @@ from qpmpc.backends._registry import register
 from qpmpc.backends.base import Backend, LimitKind, Limits, RawSolution
 from qpmpc.errors import BackendSetupError
 from qpmpc.feasibility import bottomless
+from qpmpc.native.daqp_form import DaqpForm
+from qpmpc.native.forms import CompiledForm
 from qpmpc.polish import Polish
 from qpmpc.program import QuadraticProgram, SlackForm
 from qpmpc.status import Status
 
+_PRIMAL = 1e-9
+"""How far a row of order one may be missed."""
+_ROUNDING = 1e-12
+"""How far a row of order one may be from the bound that holds it."""
+_SMALL = 1e-2
+"""How far a multiplier may be moved to that end: more is no rounding."""
+_INSIDE = 1e-8
+"""How far a row that gives way may stand inside of its bound: the little curvature makes a rounding
+error of its multiplier that long."""
 _SOFT = 8
 """DAQP's mark of a row that may give way."""
 _FLAT = 1e-10
@@ -51,6 +62,16 @@ class DaqpBackend(Backend):
     summary: ClassVar[str] = "DAQP, dual active set, exact in few microseconds; all bounds"
     warm_starts: ClassVar[bool] = True
     replaces_rows: ClassVar[bool] = True
+    compiled: ClassVar[CompiledForm | None] = DaqpForm(
+        primal_tol=_PRIMAL,
+        rounding=_ROUNDING,
+        inside=_INSIDE,
+        far=_FAR,
+        iterations=_ITERATIONS,
+        each=_EACH,
+        flat=_FLAT,
+        least=_LEAST,
+    )
     structured: ClassVar[bool] = True
     limits: ClassVar[frozenset[LimitKind]] = frozenset(("iterations", "time"))
 
@@ -66,7 +87,7 @@ class DaqpBackend(Backend):
 
         self._model: Any = daqp.Model()
         self._model.settings = {
-            "primal_tol": 1e-9,
+            "primal_tol": _PRIMAL,
             "iter_limit": limits.iterations or max(_ITERATIONS, _EACH * (qp.n + qp.m)),
             "time_limit": limits.time or 0.0,
         }
@@ -92,6 +113,8 @@ class DaqpBackend(Backend):
         self._form, self._limits = SlackForm(qp), limits
         self._A, self._rows = np.array(qp.A), np.zeros(qp.m)
         self._corrects = bool(self._excess.any())
+        self._price, self._most = np.zeros(qp.m), np.array(qp.linear)
+        self._below = self._most * (1.0 - _PRIMAL)  # whose price is nearer may give way
         if soft.any():
             self._weigh(self._linear)
         self._answer = RawSolution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), 0)
@@ -115,14 +138,53 @@ class DaqpBackend(Backend):
         np.minimum(u, _FAR, out=self._u[:rows])
         self._model.update(f=q, bupper=self._u, blower=self._l)
         x, _, flag, info = self._model.solve()
-        if flag == _GAVE_WAY and self._corrects:
+        if self._corrects and flag > 0 and self._gives(info["lam"][:rows]):
             x, flag, info = self._correct(x, l, u)
         answer = self._answer
         answer.x, answer.y, answer.iterations = x, info["lam"][:rows], info["iterations"]
         answer.status = _STATUS.get(flag, Status.FAILED)
         if not self._polish.definite:
             self._finish(answer, q, l, u)
+        elif answer.status is Status.SOLVED and np.count_nonzero(answer.y):
+            self._refine(answer, q, l, u)
         return answer
+
+    def _refine(
+        self,
+        answer: RawSolution,
+        q: Array,
+        l: Array,  # noqa: E741
+        u: Array,
+    ) -> None:
+        """Put rows that are held by a bound onto it: many of them, nearly dependent, cost digits.
+
+        DAQP does so itself, but not where any soft row is among them.
+        """
+        x, y = answer.x, answer.y
+        active = np.flatnonzero(y)
+        price = y[active]
+        off = np.dot(self._A[active], x)
+        off -= np.where(price > 0, u[active], l[active])
+        inside = np.where(price > 0, -off, off) > _INSIDE  # within DAQP's dual tolerance
+        stay = (np.abs(price) < self._below[active]) | inside
+        held, off = active[stay], off[stay]
+        if not held.size or not np.abs(off).max() > _ROUNDING:
+            return
+        rows, response = self._A[held], self._polish.response[:, held]
+        try:
+            change = np.linalg.solve(rows @ response, off)
+        except np.linalg.LinAlgError:
+            change = np.full(held.size, _SMALL)
+        way = response @ change
+        left = np.abs(off - np.dot(rows, way)).max()
+        if np.abs(change).max() < _SMALL and left < np.abs(off).max() and not inside.any():
+            answer.x = x - way
+            answer.y = y.copy()
+            answer.y[held] += change
+            return
+        self._polish.allow(self._limits.iterations or _EQUATIONS, np.inf)
+        if self._polish(q, l, u, x, y):  # other rows are to be held, or they depend on each other
+            answer.x, answer.y = self._polish.x, self._polish.y
 
     def _finish(self, answer: RawSolution, q: Array, l: Array, u: Array) -> None:  # noqa: E741
         """Better an answer of proximal steps, which DAQP takes where P is only semidefinite."""
@@ -135,6 +197,15 @@ class DaqpBackend(Backend):
             form.update(q, l, u)
             if bottomless(form.P, form.q, form.A, form.l, form.u):
                 answer.status = Status.UNBOUNDED
+
+    def _gives(self, multipliers: Array) -> bool:
+        """Whether any soft row gives way, however little: then its price is its penalty, or more.
+
+        DAQP's own flag is not enough, as it looks away from what is less than its tolerance.
+        """
+        np.abs(multipliers, out=self._price)
+        np.subtract(self._price, self._most, out=self._price)
+        return bool(np.count_nonzero(self._price > 0))
 
     def _correct(self, x: Array, l: Array, u: Array) -> tuple[Array, int, Any]:  # noqa: E741
         """Solve again with the curvature that is not in the problem around the slack there is.

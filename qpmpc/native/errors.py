@@ -48,3 +48,15 @@ class CacheError(QpmpcError):
     def __init__(self, path: Path | str, message: str) -> None:
         self.path = Path(path)
         super().__init__(f"cache {path}: {message}")
+
+
+class CompiledStepError(QpmpcError):
+    """A controller has no compiled step, and one was asked for.
+
+    Attributes:
+        reason: why.
+    """
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(f"no compiled step: {reason}")

@@ -168,7 +168,7 @@ def test_a_comparison_tells_how_far_a_backend_is_off(kept):
     rows, experiments = kept("daqp", "off")
     scenario = experiments["off"].scenario
     controller = ForceController(scenario.controller, scenario.axes, 1e-3, "daqp")
-    by = np.abs(controller.general.solver._scaling.T[:3, 0] * Off.by).max()
+    by = np.abs(controller.general.solver.scaling.T[:3, 0] * Off.by).max()
     assert by > 1e-6
     assert rows["daqp"]["command_error"] < 1e-9
     assert rows["off"]["command_error"] == pytest.approx(by, rel=1e-3)

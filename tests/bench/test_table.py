@@ -26,6 +26,9 @@ def errors(axes):
     }
 
 
+PATH = {"used": False, "reason": "switched off", "interpreted_cycles": 0}
+
+
 def row(backend="daqp", **changes):
     return {
         "backend": backend,
@@ -36,6 +39,7 @@ def row(backend="daqp", **changes):
         "command_error": 1.2e-9,
         "status": {"solved": 1000},
         "source": SOLVED,
+        "compiled": PATH,
         "without_reference": 0,
         "trip": None,
     } | changes
@@ -97,7 +101,7 @@ def test_whatever_there_is_can_be_shown(rows):
 def test_lines_say_how_the_solves_ended_and_what_stood_in():
     lines = comparison_lines(
         [
-            row("daqp"),
+            row("daqp", compiled=PATH | {"used": True}),
             row(
                 "osqp",
                 status={"solved": 990, "iteration_limit": 10},
@@ -108,8 +112,8 @@ def test_lines_say_how_the_solves_ended_and_what_stood_in():
         ]
     )
     assert lines == [
-        "daqp: solved 1000",
-        "osqp: solved 990, iteration_limit 10; command from plan 7, hold 3; "
+        "daqp (compiled): solved 1000",
+        "osqp (interpreted): solved 990, iteration_limit 10; command from plan 7, hold 3; "
         "no reference in 4 cycles",
         "piqp: refused the problem",
     ]
@@ -146,6 +150,8 @@ def summary(**changes):
         "saturation": {"torque": 0.0, "command": 0.125},
         "status": {"solved": 1000},
         "source": SOLVED,
+        "compiled": {"used": True, "reason": None, "interpreted_cycles": 0},
+        "live_setpoint": None,
         "violations": {name: {"count": 0, "worst": 0.0, "integral": 0.0} for name in BEYOND},
     } | changes
 
@@ -154,6 +160,14 @@ def test_a_run_without_incident_says_nothing_of_fallbacks_and_bounds():
     text = "\n".join(timing_lines(summary()))
     assert "without a usable answer" not in text
     assert "beyond the bounds" not in text
+
+
+def test_a_run_says_which_path_its_steps_took():
+    assert "step: compiled" in timing_lines(summary())
+    handed = {"used": True, "reason": None, "interpreted_cycles": 3}
+    told = timing_lines(summary(compiled=handed))
+    assert "step: compiled, 3 cycles handed to the interpreted path" in told
+    assert "step: interpreted (switched off)" in timing_lines(summary(compiled=PATH))
 
 
 def test_a_run_says_what_stood_in_and_what_was_passed():

@@ -113,6 +113,7 @@ LATERAL = ("bounds.tangential",)
 """What says nothing about z."""
 SOLVER_FIELDS = (
     "solver.max_iterations", "solver.time_limit", "solver.smallest_part", "solver.deadline",
+    "solver.compiled",
     "solver.form",
 )  # fmt: skip
 """What does not change the answer; tested below by what it does change."""

@@ -60,7 +60,9 @@ def slowed(monkeypatch, simulate):
 
 @pytest.fixture(scope="module")
 def prompt(simulate):
-    return simulate("paper", WITH_DEADLINE[0], still=False, duration=0.7)
+    """The same path as `Slow`, which is no compiled one: commands agree to the last bit."""
+    settings = (WITH_DEADLINE[0], "controller.solver.compiled=off")
+    return simulate("paper", *settings, still=False, duration=0.7)
 
 
 def error(run, cycles) -> float:

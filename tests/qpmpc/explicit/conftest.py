@@ -90,7 +90,7 @@ def contact() -> Callable[[int], Case]:
             general = made.general
             parameters = expected(general.problem, made.ranges, general.reference)
             assert parameters is not None
-            scaling = general.solver._scaling
+            scaling = general.solver.scaling
             known[horizon] = case(scaling.qp, scaling.parameters(parameters))
         return known[horizon]
 
