@@ -85,9 +85,11 @@ def _check_protection(scenario: Scenario, source: str) -> None:
     if not scenario.cell.protection.enabled:
         return
     wished = {axis: float(getattr(scenario.setpoint, axis)) for axis in _AXES}
+    # Where bounds move a later setpoint may lie outside them, and the bound is what is held.
+    steps = () if scenario.bounds_steps else scenario.setpoint.steps
     for place, step in [
         ("setpoint", scenario.setpoint),
-        *((f"setpoint.steps.{i}", step) for i, step in enumerate(scenario.setpoint.steps)),
+        *((f"setpoint.steps.{i}", step) for i, step in enumerate(steps)),
     ]:
         changed = {axis: getattr(step, axis) for axis in _AXES}
         wished |= {axis: float(value) for axis, value in changed.items() if value is not None}

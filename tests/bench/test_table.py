@@ -146,7 +146,6 @@ def summary(**changes):
             "real_time_factor": {"compensated": 2.5, "uncompensated": None},
         },
         "cycles": 1000,
-        "live_setpoint": None,
         "saturation": {"torque": 0.0, "command": 0.125},
         "status": {"solved": 1000},
         "source": SOLVED,
