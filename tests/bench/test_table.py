@@ -127,7 +127,7 @@ def test_a_trip_is_told_with_cause_key_time_and_figures():
     told = trip_line(Trip(Cause.JOINT_RANGE, 1.5, 1.8, 1.7, joint=5))
     assert "cell.protection.joint_margin of joint 5 (1.8, limit 1.7 rad)" in told
     (line,) = comparison_lines([row(trip={"cause": "tip_speed", "time": 0.25})])
-    assert line == "daqp: solved 1000; tripped at 0.25 s on tip_speed"
+    assert line == "daqp (interpreted): solved 1000; tripped at 0.25 s on tip_speed"
 
 
 @pytest.mark.parametrize("cause", list(Cause))
