@@ -17,7 +17,9 @@ def afresh():
 
 
 def run():
-    scenario = load_scenario("paper", top={"duration": 0.05}, settings=["controller.compiled=off"])
+    scenario = load_scenario(
+        "paper", top={"duration": 0.05}, settings=["controller.solver.compiled=off"]
+    )
     held = np.zeros((scenario.cycles, 3))
     return run_experiment(scenario, report=lambda *_: None, stop=lambda: False, held=held)
 
