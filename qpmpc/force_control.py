@@ -97,6 +97,7 @@ class ForceController:
             config.horizon,
             backend=kind,
             form=config.solver.form,
+            compiled=config.solver.compiled,
             limits=limits,
             control_horizon=config.control_horizon,
             decision=config.decision,

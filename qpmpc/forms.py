@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from qpmpc.backends import Backend, Limits
 from qpmpc.bounds import Bound, MappedBound
 from qpmpc.construction import Decision
+from qpmpc.controller import Compiled
 from qpmpc.errors import BackendSetupError, UnknownNameError
 from qpmpc.models import LinearModel
 from qpmpc.native.errors import CompilerUnavailableError
@@ -19,9 +20,10 @@ from qpmpc.structured.problem import StructuredProblem
 
 Form = Literal["auto", "condensed", "structured"]
 
-LONG = 32
-"""Horizon from which the structured form is faster, compiled, beside DAQP on the condensed one;
-measured by ``python -m bench.horizons``."""
+LONG, LONG_COMPILED = 32, 256
+"""Horizon from which the structured form is faster: beside an interpreted step of the condensed
+one, measured by ``python -m bench.horizons``, and beside a compiled step, which only the condensed
+form has (``pulsempc bench latency``)."""
 
 
 def obstacle(kind: type[Backend], bounds: Sequence[Bound], limits: Limits) -> str | None:
@@ -42,6 +44,7 @@ def pose(
     *,
     backend: type[Backend],
     form: Form = "auto",
+    compiled: Compiled = "auto",
     limits: Limits,
     output_weight: ArrayLike,
     increment_weight: ArrayLike,
@@ -51,12 +54,14 @@ def pose(
 ) -> tuple[Problem, str]:
     """Return the problem in one of its forms, and in a few words why in this one.
 
-    ``auto`` takes the structured form where it can be had, the horizon is at least `LONG` and there
-    is a compiler.
+    ``auto`` takes the structured form where it can be had, there is a compiler, and the horizon is
+    long: at least `LONG_COMPILED` where the condensed form would have a compiled step, `LONG` where
+    it would not. A compiled step that must be leaves the condensed form only.
 
     Args:
         backend, limits: what will solve it.
         form: see there.
+        compiled: whether the step is to be compiled, see `qpmpc.controller.Controller`.
         model, horizon, output_weight, increment_weight, bounds, control_horizon, decision: as for
             `Problem`.
 
@@ -70,11 +75,15 @@ def pose(
     if form == "structured" and against is not None:
         raise BackendSetupError(backend.name, f"form 'structured' cannot be had: {against}")
     if form == "auto":
-        if against is None and horizon < LONG:
-            against = f"the horizon is below {LONG} steps"
+        # Not inherited, as in `Controller`: a subclass has no compiled step.
+        steps = LONG if compiled == "off" or "compiled" not in vars(backend) else LONG_COMPILED
+        if against is None and compiled == "on":
+            against = "only the condensed form has a compiled step"
+        if against is None and horizon < steps:
+            against = f"the horizon is below {steps} steps"
         if against is None and not _compiles():
             against = "there is no compiler"
-        structured, why = against is None, against or f"the horizon is {LONG} steps or more"
+        structured, why = against is None, against or f"the horizon is {steps} steps or more"
     else:
         structured, why = form == "structured", "asked for"
     arguments: dict[str, Any] = {

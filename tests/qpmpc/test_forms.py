@@ -10,6 +10,7 @@ from qpmpc import (
     BoundsConfig,
     ControllerConfig,
     ForceController,
+    Limits,
     SolverConfig,
     Status,
     TangentialConfig,
@@ -17,7 +18,7 @@ from qpmpc import (
     available,
 )
 from qpmpc.backends import backend_class
-from qpmpc.forms import LONG
+from qpmpc.forms import LONG, LONG_COMPILED, pose
 from qpmpc.native.errors import CompilerUnavailableError
 from qpmpc.native.toolchain import compiler
 from qpmpc.structured.compiled import _library
@@ -32,6 +33,10 @@ BOUNDED = ControllerConfig(
 def controller(horizon, backend="daqp", axes=("z",), config=BOUNDED, **solver) -> ForceController:
     asked = replace(config, horizon=horizon, solver=SolverConfig(**solver))
     return ForceController(asked, axes, 1e-3, backend)
+
+
+class Interpreted(backend_class("daqp")):
+    """DAQP, but not the class that states a compiled form."""
 
 
 def form(made: ForceController) -> str:
@@ -61,14 +66,29 @@ def test_the_key_says_which():
 @pytest.mark.skipif(not can_compile(), reason="no compiler")
 def test_auto_goes_by_the_horizon():
     for horizon, name in ((LONG - 1, "condensed"), (LONG, "structured")):
-        made = controller(horizon)
+        made = controller(horizon, compiled="off")
         assert form(made) == name
         assert str(LONG) in made.form_reason
 
 
+@pytest.mark.skipif(not can_compile(), reason="no compiler")
+def test_a_compiled_step_keeps_the_condensed_form_longer():
+    made = controller(LONG)
+    assert form(made) == "condensed"
+    assert str(LONG_COMPILED) in made.form_reason
+    assert form(controller(LONG_COMPILED)) == "structured"
+    assert form(controller(LONG, Interpreted)) == "structured"
+    required, why = pose(
+        made.general.problem.model, LONG_COMPILED, backend=backend_class("daqp"), limits=Limits(),
+        output_weight=1.0, increment_weight=1.0, compiled="on",
+    )  # fmt: skip
+    assert required.form == "condensed"
+    assert why == "only the condensed form has a compiled step"
+
+
 def test_auto_stays_condensed_where_there_is_no_compiler(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
-    made = controller(LONG)
+    made = controller(LONG_COMPILED)
     assert form(made) == "condensed"
     assert made.form_reason == "there is no compiler"
 
@@ -79,14 +99,14 @@ def test_auto_stays_condensed_where_nothing_can_be_compiled(monkeypatch, tmp_pat
     cache = tmp_path / "cache"
     cache.write_text("no folder")
     monkeypatch.setenv("PULSEMPC_CACHE", str(cache))
-    made = controller(LONG)
+    made = controller(LONG, compiled="off")
     assert form(made) == "condensed"
     assert "could not be compiled" in made.form_reason
     assert form(controller(4, form="structured")) == "structured"
 
 
 def test_what_has_no_structured_form_stays_condensed_and_says_why():
-    long = LONG + 1
+    long = LONG_COMPILED
     timed = controller(long, time_limit=1.0)
     assert form(timed) == "condensed"
     assert "limit of time" in timed.form_reason
