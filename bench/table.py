@@ -60,8 +60,8 @@ def timing_lines(summary: Summary) -> list[str]:
     ):
         p = timing[name]
         lines.append(
-            f"{what}: median {_number(p['p50'], '.0f')} us, p99 {_number(p['p99'], '.0f')} us, "
-            f"p99.9 {_number(p['p999'], '.0f')} us, max {_number(p['max'], '.0f')} us"
+            f"{what}: median {_time(p['p50'])} us, p99 {_time(p['p99'])} us, "
+            f"p99.9 {_time(p['p999'])} us, max {_time(p['max'])} us"
         )
     lines.append(
         f"cycles over their period: {timing['misses']} of {summary['cycles']}; simulated at "
@@ -146,8 +146,8 @@ def comparison_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
         built = row["build_us"]["p50"]
         solver.add_row(
             row["backend"],
-            *(_number(row["solve_us"][key], ".0f") for key in ("p50", "p99", "p999", "max")),
-            _number(built, ".0f") if built else "",
+            *(_time(row["solve_us"][key]) for key in ("p50", "p99", "p999", "max")),
+            _time(built) if built else "",
             _number(row["command_error"], ".1e"),
         )
     return [force, bounds, solver]
@@ -218,3 +218,8 @@ _LIMITS = {"iterations": "iter.", "time": "time"}
 
 def _number(value: float | None, form: str, unit: str = "") -> str:
     return "-" if value is None else f"{value:{form}}{unit}"
+
+
+def _time(value: float | None) -> str:
+    """A time [us]: whole ones, but for those of a compiled step."""
+    return _number(value, ".1f" if value is not None and value < 9.95 else ".0f")

@@ -37,7 +37,7 @@ class Deadline:
     clock under what real-time measures the system permits, `pulsempc bench deadline --realtime`.
     """
 
-    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "constrained"
+    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "latency"
     """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
     backends: Annotated[str, _arg(metavar="A,B,C")] = "analytic,daqp,osqp,clarabel,piqp,casadi"
     """Solvers, see `pulsempc backends`, separated by commas; `all`: every one that is installed."""

@@ -178,3 +178,10 @@ def test_a_run_says_what_stood_in_and_what_was_passed():
         "beyond the bounds: force in 15000 cycles, at worst by 12.3 N; "
         "velocity in 234 cycles, at worst by 0.457 m/s"
     )
+
+
+def test_times_of_a_compiled_step_are_told_to_a_tenth():
+    short = {"p50": 1.81, "p99": 6.44, "p999": 9.96, "max": 48.2}
+    timing = summary()["timing"] | {"solve_us": short}
+    told = timing_lines(summary(timing=timing))
+    assert told[0] == "solve: median 1.8 us, p99 6.4 us, p99.9 10 us, max 48 us"
