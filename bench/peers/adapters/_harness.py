@@ -7,7 +7,8 @@ An adapter is a file with ``VARIANTS``, a mapping from a name to ``(what it solv
 function ``step(state, previous, reference, moved)`` that does all that a user has to do in one
 cycle and returns the first increment, ``(n_u,)`` or a number; NaN where the package gives no
 answer. ``moved`` is None, or the `Bounds` that hold from this cycle on. Cycles come in their order;
-``step.begin()``, if there is one, is called before the first of each pass.
+``step.begin()``, if there is one, is called before the first of each pass, ``step.after()`` behind
+each cycle, outside the clock: what a loop does once the command has gone out.
 
 Nothing here but numpy and the standard library: other Python versions run it too. Isolated mode
 (``-I``) keeps the working directory and PYTHONPATH out of the imports, so that ``import qpmpc`` is
@@ -108,9 +109,11 @@ def main():
         for k in range(cycles)
     ]
     begin_pass = getattr(step, "begin", lambda: None)
+    after = getattr(step, "after", lambda: None)
     begin_pass()
     for cycle in inputs[:WARM_UP]:
         step(*cycle)
+        after()
     packages = getattr(module, "PACKAGES", ())
     told = {
         "solves": solves,
@@ -135,6 +138,7 @@ def main():
             end = perf_counter_ns()
             took[k] = end - begin
             answers[k] = answer
+            after()
         times.append(took)
         increments.append(answers)
         gc.collect()

@@ -88,22 +88,23 @@ def _compiled(task):
     k = 0
 
     def step(state, previous, reference, moved):
-        nonlocal k
         if moved is not None:
             _move(problem, moved)
         compiled.step(measurements[k], previews[k])
-        increment = command - previous
-        command[:] = following[k]
+        return command - previous
+
+    def after():
+        nonlocal k
+        command[:] = following[k]  # what was sent when this was recorded
         compiled.prepare()
         k += 1
-        return increment
 
     def begin():
         nonlocal k
         k = 0
         controller.reset(task.predicted[0], sent[0])
 
-    step.begin = begin
+    step.begin, step.after = begin, after
     return step
 
 
