@@ -6,9 +6,10 @@ An adapter is a file with ``VARIANTS``, a mapping from a name to ``(what it solv
 ``PACKAGES``, the distributions whose versions are told. Set-up takes the `Task` and returns a
 function ``step(state, previous, reference, moved)`` that does all that a user has to do in one
 cycle and returns the first increment, ``(n_u,)`` or a number; NaN where the package gives no
-answer. ``moved`` is None, or the `Bounds` that hold from this cycle on. Cycles come in their order;
-``step.begin()``, if there is one, is called before the first of each pass, ``step.after()`` behind
-each cycle, outside the clock: what a loop does once the command has gone out.
+answer. ``moved`` is None, or the `Bounds` that hold from this cycle on. Cycles come in their order.
+``step.begin()``, if there is one, is called before the first of each pass. Outside the clock,
+behind each cycle: ``step.increment(previous)``, where a package ends with the command and not with
+the increment, and ``step.after()``, for what a loop does once the command has gone out.
 
 Nothing here but numpy and the standard library: other Python versions run it too. Isolated mode
 (``-I``) keeps the working directory and PYTHONPATH out of the imports, so that ``import qpmpc`` is
@@ -110,6 +111,7 @@ def main():
     ]
     begin_pass = getattr(step, "begin", lambda: None)
     after = getattr(step, "after", lambda: None)
+    increment = getattr(step, "increment", None)
     begin_pass()
     for cycle in inputs[:WARM_UP]:
         step(*cycle)
@@ -137,7 +139,7 @@ def main():
             answer = step(state, previous, reference, moved)
             end = perf_counter_ns()
             took[k] = end - begin
-            answers[k] = answer
+            answers[k] = answer if increment is None else increment(previous)
             after()
         times.append(took)
         increments.append(answers)

@@ -90,7 +90,9 @@ def _compiled(task):
     def step(state, previous, reference, moved):
         if moved is not None:
             _move(problem, moved)
-        compiled.step(measurements[k], previews[k])
+        compiled.step(measurements[k], previews[k])  # the command is in `command`
+
+    def increment(previous):
         return command - previous
 
     def after():
@@ -104,7 +106,7 @@ def _compiled(task):
         k = 0
         controller.reset(task.predicted[0], sent[0])
 
-    step.begin, step.after = begin, after
+    step.begin, step.after, step.increment = begin, after, increment
     return step
 
 
