@@ -170,38 +170,34 @@ class CasadiOsqp(ConicBackend):
         return super()._settle(status, q, l, u)
 
 
-class CasadiQrqp(ConicBackend):
+class _CasadisOwn(ConicBackend):
+    """What CasADi's own two solvers have in common."""
+
+    limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS
+    prints: ClassVar[bool] = True
+
+    def _formulate(self, qp: QuadraticProgram) -> Form:
+        return TwoSlacks(qp)
+
+    def _options(self) -> dict[str, Any]:
+        quiet = {"print_iter": False, "print_header": False, "print_info": False}
+        return quiet | {"max_iter": self._limits.iterations or 200}
+
+
+class CasadiQrqp(_CasadisOwn):
     """CasADi's own active-set solver, from cold: from warm it goes astray."""
 
     name: ClassVar[str] = "casadi:qrqp"
     summary: ClassVar[str] = "CasADi's own active set, cold, polished; fails at times"
-    limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS
     plugin: ClassVar[str] = "qrqp"
-    prints: ClassVar[bool] = True
-
-    def _formulate(self, qp: QuadraticProgram) -> Form:
-        return TwoSlacks(qp)
-
-    def _options(self) -> dict[str, Any]:
-        quiet = {"print_iter": False, "print_header": False, "print_info": False}
-        return quiet | {"max_iter": self._limits.iterations or 200}
 
 
-class CasadiIpqp(ConicBackend):
+class CasadiIpqp(_CasadisOwn):
     """CasADi's own interior-point solver."""
 
     name: ClassVar[str] = "casadi:ipqp"
     summary: ClassVar[str] = "CasADi's own interior point, cold, polished; fails at times"
-    limits: ClassVar[frozenset[LimitKind]] = _ITERATIONS
     plugin: ClassVar[str] = "ipqp"
-    prints: ClassVar[bool] = True
-
-    def _formulate(self, qp: QuadraticProgram) -> Form:
-        return TwoSlacks(qp)
-
-    def _options(self) -> dict[str, Any]:
-        quiet = {"print_iter": False, "print_header": False, "print_info": False}
-        return quiet | {"max_iter": self._limits.iterations or 200}
 
 
 class CasadiHighs(ConicBackend):
