@@ -24,12 +24,15 @@ from qpmpc.program import QuadraticProgram
 from qpmpc.status import Status
 
 _ITERATIONS: frozenset[LimitKind] = frozenset(("iterations",))
-_PATIENCE = 10_000
-"""DAQP's limit of iterations, where none is given; proximal steps count together."""
+_PATIENCE = 10
+"""DAQP's limit of iterations for each variable and row, where none is given. Proximal steps count
+together; what they have not ended by then, the polish mends."""
 _FLAT = 1e-6
 """Least eigenvalue of the Hessian below which DAQP needs proximal steps."""
 _PROXIMAL = 0.005
 """Curvature of these steps. Less takes fewer of them and rounds worse, more the other way."""
+_STILL = 2e-10
+"""Length of a proximal step that ends them, as far as rounding lets steps become so short."""
 _CLOSE = 1e-8
 """Tolerance of solvers whose answers are polished. Nowhere a relative one: beside a cost full of
 penalties it would be wide."""
@@ -53,9 +56,13 @@ class CasadiDaqp(ConicBackend):
         return OneSlack(qp)
 
     def _options(self) -> dict[str, Any]:
-        settings = {"primal_tol": 1e-9, "iter_limit": self._limits.iterations or _PATIENCE}
-        if np.linalg.eigvalsh(self._form.P)[0] < _FLAT:
-            settings |= {"eps_prox": _PROXIMAL, "eta_prox": 2e-10}
+        form, eps = self._form, np.finfo(np.float64).eps
+        patience = _PATIENCE * sum(form.A.shape)
+        settings = {"primal_tol": 1e-9, "iter_limit": self._limits.iterations or patience}
+        if np.linalg.eigvalsh(form.P)[0] < _FLAT:
+            # A step is made of gradients over the curvature, and cannot be more exact than they.
+            rounding = 64.0 * eps * float(np.abs(form.q).max()) / _PROXIMAL
+            settings |= {"eps_prox": _PROXIMAL, "eta_prox": max(_STILL, rounding)}
         return {"daqp": settings}
 
 

@@ -178,6 +178,28 @@ def test_bounds_that_rounding_has_crossed_are_equations(name: str) -> None:
     np.testing.assert_allclose(solution.x, [0.25, -0.5], atol=1e-6)
 
 
+@pytest.mark.parametrize("price", [1e2, 1e4, 1e6])
+def test_daqp_ends_by_itself_however_dear_slack_is(
+    price: float, contact_problem: Callable[..., Any], instance: Callable[..., Any]
+) -> None:
+    """Its proximal steps end where rounding keeps them from becoming shorter."""
+
+    class Unpolished(backend_class("casadi")):  # type: ignore[misc]
+        def _better(self, q: np.ndarray, l: np.ndarray, u: np.ndarray) -> bool:
+            return False
+
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        problem = contact_problem(rng, 1, 8)
+        qp = problem.qp
+        dear = QuadraticProgram(
+            qp.P, qp.q, qp.A, qp.l, qp.u, np.where(np.isinf(qp.linear), np.inf, price), qp.quadratic
+        )
+        backend = Unpolished(dear, Limits())
+        for _ in range(20):
+            assert backend.solve(*instance(rng, problem).vectors()).status is Status.SOLVED
+
+
 # ---- state
 
 
