@@ -13,9 +13,11 @@ from qpmpc.construction import Decision
 from qpmpc.controller import Compiled
 from qpmpc.errors import BackendSetupError, UnknownNameError
 from qpmpc.models import LinearModel
+from qpmpc.native.compiled import unfit
 from qpmpc.native.errors import CompilerUnavailableError
 from qpmpc.native.toolchain import compiler
 from qpmpc.problem import Problem
+from qpmpc.scaling import Scaling
 from qpmpc.structured.problem import StructuredProblem
 
 Form = Literal["auto", "condensed", "structured"]
@@ -23,7 +25,7 @@ Form = Literal["auto", "condensed", "structured"]
 LONG, LONG_COMPILED = 32, 256
 """Horizon from which the structured form is faster: beside an interpreted step of the condensed
 one, measured by ``python -m bench.horizons``, and beside a compiled step, which only the condensed
-form has (``pulsempc bench latency``)."""
+form has: by the growth of its cost, where a model lets one be had for so many steps."""
 
 
 def obstacle(kind: type[Backend], bounds: Sequence[Bound], limits: Limits) -> str | None:
@@ -55,8 +57,8 @@ def pose(
     """Return the problem in one of its forms, and in a few words why in this one.
 
     ``auto`` takes the structured form where it can be had, there is a compiler, and the horizon is
-    long: at least `LONG_COMPILED` where the condensed form would have a compiled step, `LONG` where
-    it would not. A compiled step that must be leaves the condensed form only.
+    long: at least `LONG_COMPILED` where the condensed form has a compiled step, `LONG` where it
+    has not. A compiled step that must be leaves the condensed form only.
 
     Args:
         backend, limits: what will solve it.
@@ -74,28 +76,41 @@ def pose(
     against = obstacle(backend, bounds, limits)
     if form == "structured" and against is not None:
         raise BackendSetupError(backend.name, f"form 'structured' cannot be had: {against}")
-    if form == "auto":
-        # Not inherited, as in `Controller`: a subclass has no compiled step.
-        steps = LONG if compiled == "off" or "compiled" not in vars(backend) else LONG_COMPILED
-        if against is None and compiled == "on":
-            against = "only the condensed form has a compiled step"
-        if against is None and horizon < steps:
-            against = f"the horizon is below {steps} steps"
-        if against is None and not _compiles():
-            against = "there is no compiler"
-        structured, why = against is None, against or f"the horizon is {steps} steps or more"
-    else:
-        structured, why = form == "structured", "asked for"
     arguments: dict[str, Any] = {
         "output_weight": output_weight, "increment_weight": increment_weight, "bounds": bounds,
         "control_horizon": control_horizon, "decision": decision,
     }  # fmt: skip
-    if structured:
-        staged = StructuredProblem(model, horizon, **arguments)
-        if staged.compiled or form == "structured":
-            return staged, why
-        why = "the structured form could not be compiled"
-    return Problem(model, horizon, **arguments, construction=backend.construction), why
+
+    def condensed() -> Problem:
+        return Problem(model, horizon, **arguments, construction=backend.construction)
+
+    if form == "auto" and against is None:
+        against = _short(horizon, compiled)
+    if form == "condensed":
+        return condensed(), "asked for"
+    if against is not None:
+        return condensed(), against
+    why = "asked for" if form == "structured" else f"the horizon is {LONG} steps or more"
+    if form == "auto" and compiled == "auto" and horizon < LONG_COMPILED:
+        problem = condensed()
+        # Not inherited, as in `Controller`: a subclass has no compiled step.
+        without = unfit(vars(backend).get("compiled"), problem, Scaling(problem.qp))
+        if without is None:
+            return problem, f"it has a compiled step, and less than {LONG_COMPILED} steps"
+        why = f"{why}, and there is no compiled step: {without}"
+    staged = StructuredProblem(model, horizon, **arguments)
+    if staged.compiled or form == "structured":
+        return staged, why
+    return condensed(), "the structured form could not be compiled"
+
+
+def _short(horizon: int, compiled: Compiled) -> str | None:
+    """Return why the structured form is not considered, None if it is."""
+    if compiled == "on":
+        return "only the condensed form has a compiled step"
+    if horizon < LONG:
+        return f"the horizon is below {LONG} steps"
+    return None if _compiles() else "there is no compiler"
 
 
 def _compiles() -> bool:

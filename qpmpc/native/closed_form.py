@@ -12,7 +12,8 @@ from qpmpc.native.pack import Field, columns
 from qpmpc.native.toolchain import Library
 
 if TYPE_CHECKING:
-    from qpmpc.native.groups import Group, Whole
+    from qpmpc.native.groups import Group
+    from qpmpc.scaling import Scaling
 
 
 class ClosedForm:
@@ -26,7 +27,7 @@ class ClosedForm:
         """See `CompiledForm`."""
         return c_text("closed.c")
 
-    def obstacle(self, whole: Whole) -> str | None:  # noqa: ARG002 - there is none
+    def obstacle(self, scaling: Scaling) -> str | None:  # noqa: ARG002 - there is none
         """See `CompiledForm`."""
         return None
 

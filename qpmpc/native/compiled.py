@@ -20,7 +20,9 @@ from qpmpc.native.groups import Whole, groups
 from qpmpc.native.pack import aligned
 from qpmpc.native.source import write
 from qpmpc.observer import KalmanObserver
+from qpmpc.problem import Problem
 from qpmpc.reference import ExponentialReference
+from qpmpc.scaling import Scaling
 
 _MOST = 4_000_000
 """Numbers in the matrices of a problem up to which a compiled step is worth its memory."""
@@ -45,24 +47,33 @@ class Code(IntEnum):
     """The answer was not there by the deadline."""
 
 
+def unfit(form: CompiledForm | None, problem: Problem, scaling: Scaling) -> str | None:
+    """Return why a problem cannot have a compiled step, or None where it can.
+
+    Args:
+        form: of the backend. problem: condensed. scaling: of its QP.
+    """
+    entries = problem.qp.n * (3 * problem.qp.m + 2 * problem.qp.n + 3 * problem.free.size)
+    if form is None:
+        return "the backend has no compiled form"
+    if problem.mapped:
+        return f"rows of {', '.join(problem.mapped)} change in every cycle"
+    if entries > _MOST:
+        return f"its matrices have {entries} numbers, more than {_MOST}"
+    return form.obstacle(scaling)
+
+
 def obstacle(
     form: CompiledForm | None, whole: Whole, reference: object, limit_of_time: float | None
 ) -> str | None:
     """Return why a controller cannot have a compiled step, or None where it can."""
-    problem, observer = whole.problem, whole.observer
-    entries = problem.qp.n * (3 * problem.qp.m + 2 * problem.qp.n + 3 * problem.free.size)
-    if form is None:
-        return "the backend has no compiled form"
-    foreign = {
-        f"the observer is a {type(observer).__name__}": type(observer) is not KalmanObserver,
-        f"the reference is a {type(reference).__name__}": (
-            type(reference) is not ExponentialReference
-        ),
-        f"rows of {', '.join(problem.mapped)} change in every cycle": bool(problem.mapped),
-        "a limit of time is kept by the interpreted path": limit_of_time is not None,
-        f"its matrices have {entries} numbers, more than {_MOST}": entries > _MOST,
-    }
-    return next((reason for reason, true in foreign.items() if true), form.obstacle(whole))
+    if type(whole.observer) is not KalmanObserver:
+        return f"the observer is a {type(whole.observer).__name__}"
+    if type(reference) is not ExponentialReference:
+        return f"the reference is a {type(reference).__name__}"
+    if limit_of_time is not None:
+        return "a limit of time is kept by the interpreted path"
+    return unfit(form, whole.problem, whole.scaling)
 
 
 class CompiledStep:

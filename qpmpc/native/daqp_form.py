@@ -17,7 +17,8 @@ from qpmpc.native.pack import Field, blocks, columns, integers, plain
 from qpmpc.native.toolchain import Library
 
 if TYPE_CHECKING:
-    from qpmpc.native.groups import Group, Whole
+    from qpmpc.native.groups import Group
+    from qpmpc.scaling import Scaling
 
 _NAMES = (
     "daqp_ldp",
@@ -78,9 +79,9 @@ class DaqpForm:
         """See `CompiledForm`."""
         return c_text("daqp.c")
 
-    def obstacle(self, whole: Whole) -> str | None:
+    def obstacle(self, scaling: Scaling) -> str | None:
         """Without whitened variables there is no least-distance problem."""
-        P = whole.scaling.qp.P
+        P = scaling.qp.P
         if np.abs(P - np.eye(P.shape[0])).max() > _WHITE:
             return "the Hessian is too badly conditioned to whiten the variables"
         return None

@@ -12,7 +12,8 @@ from qpmpc.native.pack import Field
 from qpmpc.native.toolchain import Library
 
 if TYPE_CHECKING:
-    from qpmpc.native.groups import Group, Whole
+    from qpmpc.native.groups import Group
+    from qpmpc.scaling import Scaling
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class CompiledForm(Protocol):
         """Whether an answer that fails the check against the rows is handed over."""
         ...
 
-    def obstacle(self, whole: Whole) -> str | None:
-        """Return why this problem cannot be solved by it, or None."""
+    def obstacle(self, scaling: Scaling) -> str | None:
+        """Return why a QP that is scaled like this cannot be solved by it, or None."""
         ...
 
     def functions(self) -> Functions:

@@ -86,6 +86,14 @@ def test_a_compiled_step_keeps_the_condensed_form_longer():
     assert why == "only the condensed form has a compiled step"
 
 
+@pytest.mark.skipif(not can_compile(), reason="no compiler")
+def test_auto_does_not_wait_for_a_compiled_step_that_there_is_not():
+    """The Hessian of the contact model cannot be whitened any more long before `LONG_COMPILED`."""
+    made = controller(LONG_COMPILED - 32)
+    assert form(made) == "structured"
+    assert "no compiled step: the Hessian is too badly conditioned" in made.form_reason
+
+
 def test_auto_stays_condensed_where_there_is_no_compiler(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     made = controller(LONG_COMPILED)
