@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from bench import plots
 from bench.compare import Comparison
 from scenarios.log import Array, Log
 from scenarios.schedule import BoundName, Schedule
 
-# Okabe and Ito's palette: told apart by everyone.
-_HELD, _CONTROLLED, _SETPOINT = "#D55E00", "#0072B2", "#222222"
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#444444")
 _LINES = ("-", "--", ":", "-.")
 _CLOSE = 0.15
@@ -22,36 +21,16 @@ def draw_forces(log: Log, path: Path) -> None:
 
     The two upper rows share their scale; the lowest one enlarges the controlled error.
     """
-    end, n = log.cycles, len(log.axes)
+    n = len(log.axes)
     figure = Figure(figsize=(1.5 + 4.2 * n, 7.5), layout="constrained", dpi=110)
     grid = figure.subplots(3, n, sharex=True, squeeze=False)
-    time = log.time[:end]
     for j, axis in enumerate(log.axes):
-        i = "xyz".index(axis)
-        setpoint = log.setpoint[:end, j]
-        held, controlled = log.force_uncompensated[:end, i], log.force[:end, i]
         upper, middle, lower = grid[:, j]
         middle.sharey(upper)
-        for panel, force, colour, what in (
-            (upper, held, _HELD, "held still"),
-            (middle, controlled, _CONTROLLED, "controlled"),
-        ):
-            panel.plot(time, force, color=colour, linewidth=0.8, label=what)
-            panel.plot(
-                time, setpoint, color=_SETPOINT, linewidth=0.8, linestyle="--", label="setpoint"
-            )
-            reference = setpoint if panel is middle else log.setpoint[0, j]
-            error = force - reference
-            if panel is middle:
-                error = error[: log.counted]
-            panel.set_title(f"{axis}, {what}: error {_figures(error)}", fontsize=9)
-        lower.plot(time, controlled - setpoint, color=_CONTROLLED, linewidth=0.6)
-        lower.set_title(f"{axis}, error of the controlled force, enlarged", fontsize=9)
+        plots.force(upper, log, axis, held=True)
+        plots.force(middle, log, axis)
+        plots.error(lower, log, axis)
         lower.set_xlabel("time [s]")
-        if log.trip is not None:
-            for panel in (middle, lower):
-                panel.axvline(log.trip.time, color=_SETPOINT, linestyle=":", linewidth=1.0)
-            middle.set_title(f"{middle.get_title()}, tripped: {log.trip.cause}", fontsize=9)
         for panel in (upper, middle, lower):
             panel.grid(alpha=0.3)
     for row, what in enumerate(("contact force [N]", "contact force [N]", "force error [N]")):
@@ -95,7 +74,7 @@ def draw_comparison(comparison: Comparison, path: Path) -> None:
                 shown = np.isfinite(side)
                 panel.plot(
                     np.where(shown, done[0].scenario.cell.period * np.arange(len(side)), np.nan),
-                    side, color=_SETPOINT, linestyle="--", linewidth=1.0,
+                    side, color=plots.SETPOINT, linestyle="--", linewidth=1.0,
                 )  # fmt: skip
             panel.grid(alpha=0.3)
             panel.set_xlabel("time [s]")
@@ -122,9 +101,3 @@ def _values(log: Log, name: BoundName) -> Array:
 def _beyond(values: Array, lower: Array, upper: Array) -> Array:
     """How far values are beyond their bounds, negative inside; a large negative where free."""
     return np.nan_to_num(np.maximum(values - upper, lower - values), neginf=-1e9)
-
-
-def _figures(error: Array) -> str:
-    if not error.size or np.isnan(error).any():
-        return "not known, the run was interrupted"
-    return f"RMS {np.sqrt(np.mean(error**2)):.3f} N, max {np.abs(error).max():.2f} N"
