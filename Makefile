@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test test-hostile test-peers bench-peers lint format setup clean help
+.PHONY: demo test test-hostile test-peers bench-peers docs lint format setup clean help
 
 help:  ## list the verbs
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -24,6 +24,10 @@ test-peers: $(VENV)/.installed-dev  ## run a real peer end to end, from PyPI
 
 bench-peers: $(VENV)/.installed  ## other MPC packages on the same instances, each in its own environment
 	$(BIN)/python -m bench.peers
+
+docs: $(VENV)/.installed-docs  ## build the pages, notebooks run, into docs/_build/html
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
 
 lint: $(VENV)/.installed-dev  ## style, types, layers
 	$(BIN)/ruff check .
@@ -51,4 +55,8 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --no-binary pulsempc -e '.[dev]'
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-docs: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --no-binary pulsempc -e '.[docs]'
 	@touch $@ $(VENV)/.installed

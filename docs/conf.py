@@ -1,10 +1,11 @@
 """How the documentation is built: ``make docs``."""
 
 import importlib.metadata
+from typing import Any
 
 project = "pulsempc"
 author = "The pulsempc authors"
-copyright = author  # noqa: A001 - Sphinx' name for it
+copyright = author
 version = release = importlib.metadata.version("pulsempc")
 
 extensions = [
@@ -14,6 +15,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
+    "sphinx-mathjax-offline",  # no page asks the network for anything
 ]
 exclude_patterns = ["_build"]
 nitpicky = False
@@ -22,6 +24,7 @@ source_suffix = {".md": "myst-nb"}
 # ---- pages
 myst_enable_extensions = ["amsmath", "attrs_inline", "deflist", "dollarmath"]
 myst_heading_anchors = 4
+myst_fence_as_directive = ["math"]  # as GitHub reads it
 # Notebooks run when the pages are built, each from nothing, and an error in one is an error here.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
@@ -37,12 +40,31 @@ python_maximum_signature_line_length = 88
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
-default_role = "any"
+default_role = "py:obj"
 
 # No network is needed to build: other projects are linked where their index can be had.
 intersphinx_mapping: dict[str, tuple[str, str | None]] = {}
 
 html_theme = "furo"
 html_title = f"pulsempc {release}"
-html_static_path = ["_static"]
 html_theme_options = {"navigation_with_keys": True, "top_of_page_buttons": ["view"]}
+
+
+def _formulae(*event: Any) -> None:
+    """Take what is indented after a paragraph of a docstring as it stands: formulae and tables."""
+    lines: list[str] = event[-1]
+    done: list[str] = []
+    paragraph = ""
+    for line in lines:
+        begins = line.startswith("    ") and done and not done[-1]
+        if begins and paragraph and not paragraph.startswith(" "):
+            done += ["::", ""]
+        done.append(line)
+        if line:
+            paragraph = line
+    lines[:] = done
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", _formulae, priority=1)  # before sections are made

@@ -11,8 +11,7 @@ class JointSpace(Protocol):
     """Joint speeds and torques as linear maps of what the controller predicts, at one instant.
 
         speed  = speed_gain v + speed_offset
-        torque = command_gain u + velocity_gain v + force_gain F
-                 + torque_offset
+        torque = command_gain u + velocity_gain v + force_gain F + torque_offset
 
     with v the tool's velocity [m/s], F the contact force [N] and u the acceleration command
     [m/s^2] of the axes under force control, in their order. The maps hold for the present
