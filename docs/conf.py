@@ -1,6 +1,7 @@
 """How the documentation is built: ``make docs``."""
 
 import importlib.metadata
+import re
 from typing import Any
 
 project = "pulsempc"
@@ -65,6 +66,20 @@ def _formulae(*event: Any) -> None:
     lines[:] = done
 
 
+def _short_types(*event: Any) -> tuple[str | None, str | None]:
+    """Show types as they are spoken of: ranges are told where each field is described."""
+
+    def short(text: str | None) -> str | None:
+        if text is not None:
+            text = text.replace("ndarray[tuple[Any, ...], dtype[float64]]", "Array")
+            text = re.sub(r"Annotated\[((?:[^\[\],]|\[[^\[\]]*\])+),[^\[\]]*\]", r"\1", text)
+        return text
+
+    signature, returned = event[-2:]
+    return short(signature), short(returned)
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("autodoc-process-signature", _short_types)
     app.connect("autodoc-process-docstring", _formulae, priority=1)  # before sections are made
