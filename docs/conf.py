@@ -71,7 +71,7 @@ def _short_types(*event: Any) -> tuple[str | None, str | None]:
 
     def short(text: str | None) -> str | None:
         if text is not None:
-            text = text.replace("ndarray[tuple[Any, ...], dtype[float64]]", "Array")
+            text = re.sub(r"~?(numpy\.)?ndarray\[tuple\[[^\]]*\], \S*float64\]\]", "Array", text)
             text = re.sub(r"Annotated\[((?:[^\[\],]|\[[^\[\]]*\])+),[^\[\]]*\]", r"\1", text)
         return text
 
