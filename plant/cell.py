@@ -4,25 +4,29 @@ import ctypes
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from functools import cache
 from typing import Literal
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
-from plant.arm_model import build_arm_model, home_configuration
+from plant.arm_model import build_arm_model, viper_arm
+from plant.chain import Arm
 from plant.config import CellConfig, ContactConfig
 from plant.contact import GRIP, Contact
 from plant.errors import PlantError, UnstableSimulationError
 from plant.inner_loop import InnerLoop
 from plant.interface import JointSpace, Measurement, TissueMotion, Truth
-from plant.memory import memory
+from plant.memory import HEART_JOINTS, memory
 from plant.mjcf import SERVO_STIFFNESS, cell_mjcf
+from plant.own_arm import tool_arm
 from plant.playback import Programme, programme
+from plant.posture import reach
 from plant.protection import Guard, close_brakes
 from plant.sensors import ForceSensor
 from plant.stepping import CompiledStepper, PythonStepper, Stepper
-from plant.viper import HEART, TOOL, VIPER_S650, FloatArray
+from plant.viper import HEART, VIPER_S650, FloatArray
 
 Axis = Literal["x", "y", "z"]
 _ABSURD = 1e4
@@ -49,6 +53,7 @@ class Cell:
         axes: Sequence[Axis] = _AXES,
         heart: Programme | None = None,
         library: ctypes.CDLL | None = None,
+        tool: Arm | None = None,
     ) -> None:
         """Build both arms and put them into contact.
 
@@ -61,11 +66,13 @@ class Cell:
             axes: which axes follow the command, in the order of the columns of `joint_space`;
                 the tool holds its position on the others.
             heart: the programme of `heart_programme` for this motion, where it is at hand.
-            library: the physics loop, compiled from `plant.stepping.source_text`; the run is the
-                same without it, and slower.
+            library: the physics loop, compiled from `plant.stepping.source_text` for as many
+                joints as the tool has; the run is the same without it, and slower.
+            tool: the arm of `plant.own_arm.tool_arm` for this configuration, where it is at hand.
 
         Raises:
             UnreachableMotionError: Robot_Heart cannot play the motion.
+            ArmError: Robot_Tool is an arm of one's own that cannot be used.
             PlantError: the contact has a gap but is bilateral, or is unilateral and cannot carry
                 the force; or the library is not what it should be.
         """
@@ -76,11 +83,13 @@ class Cell:
         """How many cycles the motion lasts."""
         self._heart = heart or heart_programme(config, motion)
         flaws = config.imperfections
+        tool = self._arm = tool or tool_arm(config)
+        self.joints = tool.joints
+        """How many joints the tool has."""
         self.model = mujoco.MjModel.from_xml_string(
             cell_mjcf(
-                VIPER_S650,
-                HEART,
-                TOOL,
+                _heart_arm(),
+                tool,
                 timestep=config.period / config.substeps,
                 stiffness=config.contact.stiffness,
                 damping=config.contact.damping,
@@ -91,32 +100,33 @@ class Cell:
         self.data = mujoco.MjData(self.model)
         share = flaws.friction * flaws.friction_compensation
         self._inner = InnerLoop(
-            build_arm_model(VIPER_S650, TOOL, flaws.inertia_error),
+            build_arm_model(tool, flaws.inertia_error),
             config.tool,
-            coulomb=share * VIPER_S650.coulomb_friction.si,
-            viscous=share * VIPER_S650.viscous_friction.si,
+            coulomb=share * tool.coulomb,
+            viscous=share * tool.viscous,
             lead=(flaws.delay + 0.5) * config.period + flaws.torque_lag,
             force_axes=np.array([_AXES.index(axis) for axis in axes]),
         )
         self._sensor = ForceSensor(config.sensor, config.period, np.random.SeedSequence([seed, 1]))
-        self._limit = VIPER_S650.torque_limit.si
+        self._limit = tool.torque_limit
         data = self.data
-        block = memory(self.model, data)
+        block = memory(self.model, data, tool.joints)
         block["substeps"] = config.substeps
         self._peak = block["peak"]
         self._contact = Contact(block, self.model, data, config.contact)
-        self._guard = Guard(config, block, (self.model, data), self._contact, self._heart)
+        self._guard = Guard(config, block, (self.model, data), self._contact, self._heart, tool)
         self._stepper: Stepper = (
             CompiledStepper(library, block, self.model, data)
             if library
             else PythonStepper(block, self.model, data, self._contact, self._guard)
         )
         # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
-        self._q, self._qdot = data.qpos[6:12], data.qvel[6:12]
-        self._heart_ctrl, self._tool_ctrl = data.ctrl[:6], data.ctrl[6:12]
+        self._own = own = slice(HEART_JOINTS, HEART_JOINTS + tool.joints)
+        self._q, self._qdot = data.qpos[own], data.qvel[own]
+        self._heart_ctrl, self._tool_ctrl = data.ctrl[:HEART_JOINTS], data.ctrl[own]
         self._surface = data.site("heart_surface").xpos
         self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
-        self._torque, self._saturated = np.zeros(6), False
+        self._torque, self._saturated = np.zeros(tool.joints), False
         self._line: deque[tuple[FloatArray, FloatArray]] = deque()
         self._follows = np.isin(np.arange(3), [_AXES.index(axis) for axis in axes])
         self._protection = config.protection
@@ -128,7 +138,7 @@ class Cell:
 
     def close_brakes(self) -> None:
         """Lock the tool's joints where they are, and let the guard rest."""
-        close_brakes(self.model, self.data)
+        close_brakes(self.model, self.data, self.joints)
         self._guard.stand_down()
 
     def move_tool(self, displacement: FloatArray) -> None:
@@ -248,22 +258,15 @@ class Cell:
         model, data = self.model, self.data
         self._cycle = 0
         mujoco.mj_resetData(model, data)
-        tool = programme(
-            VIPER_S650,
-            build_arm_model(VIPER_S650, TOOL),
-            home_configuration(VIPER_S650, TOOL),
-            _Rest(displacement[None]),
-            period=self.period,
-            friction=0.0,
-        )
-        data.qpos[:6], data.qvel[:6] = self._heart.q, self._heart.qdot
-        self._q[:] = tool.q
+        heart = slice(HEART_JOINTS)
+        data.qpos[heart], data.qvel[heart] = self._heart.q, self._heart.qdot
+        self._q[:] = _displaced(self._arm, displacement)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         J = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, J, None, model.site("heart_surface").id)
         # The heart's servos lean against the force to start with, else they give way at once.
-        self._lean = -(load @ J[:, :6]) / SERVO_STIFFNESS
+        self._lean = -(load @ J[:, heart]) / SERVO_STIFFNESS
         self._heart_ctrl[:] = self._heart.ctrl[0] + self._lean
         mujoco.mj_step1(model, data)
         self._contact.begin()
@@ -272,7 +275,7 @@ class Cell:
         self.measure()
         self._inner.hold()
         # Torques that really hold the tool; the inner loop's own model may be wrong.
-        self._torque = data.qfrc_bias[6:12] + self._inner.J[:3].T @ self._force
+        self._torque = data.qfrc_bias[self._own] + self._inner.J[:3].T @ self._force
         self._tool_ctrl[:] = self._torque
         self._command, self._asked = np.zeros(3), np.zeros(3)
         self._line = deque([(self._torque, self._asked)] * self._delay)
@@ -283,13 +286,35 @@ class Cell:
 def heart_programme(config: CellConfig, motion: TissueMotion) -> Programme:
     """Return Robot_Heart's programme for a motion, see `plant.playback.programme`."""
     return programme(
-        VIPER_S650,
-        build_arm_model(VIPER_S650, HEART),
-        home_configuration(VIPER_S650, HEART),
+        _heart_arm(),
+        build_arm_model(_heart_arm()),
         motion,
         period=config.period,
         friction=config.imperfections.friction,
     )
+
+
+@cache
+def _heart_arm() -> Arm:
+    return viper_arm(VIPER_S650, HEART)
+
+
+def _displaced(arm: Arm, displacement: FloatArray) -> FloatArray:
+    """Return joint angles that bring the tip to a displacement from home, ``(n,)`` [rad].
+
+    Raises:
+        PlantError: none do, or they are out of range.
+    """
+    exact = build_arm_model(arm)
+    data = exact.model.createData()
+    pin.framesForwardKinematics(exact.model, data, arm.home)
+    goal = pin.SE3(data.oMf[exact.tip])
+    goal.translation = goal.translation + displacement
+    q = reach(exact, data, goal, arm.home)
+    if q is None or (q < arm.lower).any() or (q > arm.upper).any():
+        x, y, z = (1e3 * displacement).tolist()
+        raise PlantError(f"Robot_Tool cannot start {x:.1f}, {y:.1f}, {z:.1f} mm from its home")
+    return q
 
 
 def _check_start(contact: ContactConfig, force: FloatArray) -> None:
@@ -303,12 +328,3 @@ def _check_start(contact: ContactConfig, force: FloatArray) -> None:
             f"a unilateral contact cannot start with a force of {x:g}, {y:g}, {z:g} N: it only "
             f"pushes, and carries sideways at most {GRIP:g} times what it carries downwards"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Rest:
-    """A `TissueMotion` of one sample, at rest."""
-
-    position: FloatArray
-    velocity: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
-    acceleration: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))

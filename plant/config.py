@@ -3,9 +3,11 @@
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Le, Lt, MinLen
 
 SensorModel = Literal["ideal", "nano17", "mini45"]
+PerJoint = Annotated[float, Ge(0)] | tuple[Annotated[float, Ge(0)], ...]
+"""One number for all joints, or one for each, from the base on."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,49 @@ class ToolConfig:
     """Proportional gain that holds the axes that are not force-controlled [1/s^2]."""
     position_damping: Annotated[float, Gt(0)] = 100.0
     """Derivative gain that holds the axes that are not force-controlled [1/s]."""
+    posture_stiffness: Annotated[float, Ge(0), Le(1e6)] = 100.0
+    """Proportional gain that brings an arm of more than six joints back to the posture in which it
+    began, as far as its tip is not moved by it [1/s^2]."""
+    posture_damping: Annotated[float, Gt(0), Le(1e4)] = 20.0
+    """Derivative gain of the same [1/s]."""
     friction_velocity: Annotated[float, Gt(0)] = 0.02
     """Joint speed over which the compensation of Coulomb friction changes sign [rad/s]."""
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """An arm of one's own in the place of Robot_Tool, see ``docs/plant.md``.
+
+    What a file has stands in it; a key given here counts instead. For a joint that slides read m, N
+    for rad, N m.
+    """
+
+    file: Annotated[str, MinLen(1)]
+    """MJCF or URDF file; in a scenario, relative to the scenario's own place."""
+    tip: Annotated[str, MinLen(1)]
+    """Site or body (in URDF: link) that carries the instrument, along its z axis."""
+    instrument: bool = True
+    """Whether the cell's instrument is mounted there; false: the tip is that of an instrument which
+    the file has."""
+    home: tuple[float, ...] | None = None
+    """Roughly where the joints stand when it presses straight down [rad]; if not given, the file's
+    first keyframe, else it is searched for."""
+    base: tuple[float, float, float] | None = None
+    """Where it stands [m]; if not given, upright on the floor, as far away as its home asks for."""
+    base_yaw: float | None = None
+    """Turn of its base about the vertical [rad]; if not given, its x axis points to the tissue."""
+    joint_range: tuple[tuple[float, float], ...] | None = None
+    """Least and greatest angle of each joint [rad]."""
+    joint_speed: PerJoint | None = None
+    """Rated speed of the joints [rad/s]."""
+    torque_limit: PerJoint | None = None
+    """Torque at which the motors saturate [N m]."""
+    armature: PerJoint | None = None
+    """Rotor inertia, seen at the joint [kg m^2]; 0: none."""
+    coulomb_friction: PerJoint | None = None
+    """Coulomb friction of the joints [N m]; 0: none."""
+    viscous_friction: PerJoint | None = None
+    """Viscous friction of the joints [N m s/rad]; 0: none."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +162,8 @@ class CellConfig:
     """Control period [s]."""
     substeps: Annotated[int, Ge(1), Le(1000)] = 8
     """Physics steps in one control period [-]."""
+    arm: ArmConfig | None = None
+    """Robot_Tool; None: a Viper, as Robot_Heart is."""
     contact: ContactConfig = field(default_factory=ContactConfig)
     sensor: SensorConfig = field(default_factory=SensorConfig)
     tool: ToolConfig = field(default_factory=ToolConfig)

@@ -49,9 +49,11 @@ class Contact:
         self._stiffness, self._damping = config.stiffness, config.damping
         block["stiffness"], block["damping"], block["grip"] = config.stiffness, config.damping, GRIP
         # Views into memory: looking them up costs as much as a small matrix product.
-        self._length, self._speed = data.actuator_length[12:], data.actuator_velocity[12:]
+        first = model.actuator("contact_x").id
+        own = slice(first, first + 3)
+        self._length, self._speed = data.actuator_length[own], data.actuator_velocity[own]
         self._rotation = data.site("heart_surface").xmat.reshape(3, 3)
-        self._law = model.actuator_biasprm[12:, :3]
+        self._law = model.actuator_biasprm[own, :3]
         self._offset, self._per_length, self._per_speed = self._law.T
         self._bonded = self._law.copy()
         self._anchor, self._sticks = block["anchor"], block["sticks"]

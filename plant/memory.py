@@ -1,11 +1,12 @@
 """What the physics loop works on, in one block of memory: for Python as arrays, for C as a struct.
 
-The layout stands here once. `struct_text` writes it as the C struct that ``stepping.c`` is compiled
-with, so the two cannot disagree. Every member is eight bytes wide: no padding, on any platform.
+The layout stands here once, for a tool of any number of joints. `struct_text` writes it as the C
+struct that ``stepping.c`` is compiled with, so the two cannot disagree. Every member is eight bytes wide: no padding, on any platform.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,14 @@ _POINTERS = (
 """Arrays of MuJoCo's: joint angles and speeds, Coriolis and gravity torques, controls, lengths,
 speeds and coefficients of the contact actuators, poses of tool tip and tissue surface."""
 
-LAYOUT = np.dtype(
+HEART_JOINTS = 6
+"""Of Robot_Heart, which is a Viper; the tool's stand behind them."""
+
+
+_EACH, _PAIRS = -1, -2
+"""Sizes that stand for one entry for each joint of the tool, and for each pair of joints."""
+
+_MEMBERS = (
     [(name, np.uintp) for name in _POINTERS]
     + [
         # counts and states
@@ -37,11 +45,11 @@ LAYOUT = np.dtype(
         ("anchor", np.float64, 2),
         # what the guard keeps
         ("timestep", np.float64),
-        ("lower", np.float64, 6),
-        ("upper", np.float64, 6),
-        ("stopping", np.float64, 6),
+        ("lower", np.float64, _EACH),
+        ("upper", np.float64, _EACH),
+        ("stopping", np.float64, _EACH),
         ("reaction", np.float64),
-        ("joint_speed", np.float64, 6),
+        ("joint_speed", np.float64, _EACH),
         ("tip_speed", np.float64),
         ("tracking_velocity", np.float64),
         ("tracking_orientation", np.float64),
@@ -54,8 +62,8 @@ LAYOUT = np.dtype(
         ("expected", np.float64, 3),
         ("tip_before", np.float64, 3),
         ("frame_held", np.float64, 9),
-        ("heart", np.float64, 6),
-        ("heart_step", np.float64, 6),
+        ("heart", np.float64, HEART_JOINTS),
+        ("heart_step", np.float64, HEART_JOINTS),
         # a trip, and the way back
         ("value", np.float64),
         ("limit", np.float64),
@@ -63,37 +71,50 @@ LAYOUT = np.dtype(
         ("normal", np.float64, 3),
         ("tip_tripped", np.float64, 3),
         ("depth", np.float64),
-        ("goal", np.float64, 6),
-        ("goal_speed", np.float64, 6),
-        ("goal_lower", np.float64, 6),
-        ("goal_upper", np.float64, 6),
-        ("inertia", np.float64, 36),
+        ("goal", np.float64, _EACH),
+        ("goal_speed", np.float64, _EACH),
+        ("goal_lower", np.float64, _EACH),
+        ("goal_upper", np.float64, _EACH),
+        ("inertia", np.float64, _PAIRS),
         ("stiff", np.float64),
         ("damp", np.float64),
-        ("torque_limit", np.float64, 6),
+        ("torque_limit", np.float64, _EACH),
         ("leash", np.float64),
     ]
 )  # fmt: skip
 
+
+@cache
+def layout(joints: int) -> np.dtype[np.void]:
+    """Return the record's layout for a tool with this many joints."""
+    sizes = {_EACH: joints, _PAIRS: joints**2}
+    members: list[Any] = [
+        (name, kind, *(sizes.get(size, size) for size in shape)) for name, kind, *shape in _MEMBERS
+    ]
+    return np.dtype(members)
+
+
 Memory = NDArray[np.void]
-"""One record of `LAYOUT`, without dimension: ``memory["goal"]`` is a view."""
+"""One record of `layout`, without dimension: ``memory["goal"]`` is a view."""
 
 
-def memory(model: Any, data: Any) -> Memory:
+def memory(model: Any, data: Any, joints: int) -> Memory:
     """Return a block of zeros that knows where MuJoCo's arrays lie.
 
     Args:
         model, data: of MuJoCo, made by ``plant.mjcf.cell_mjcf``; they must outlive the block.
+        joints: of the tool.
     """
-    block = np.zeros((), LAYOUT)
-    law = model.actuator_biasprm[12:]
+    block = np.zeros((), layout(joints))
+    contact = model.actuator("contact_x").id
+    law = model.actuator_biasprm[contact:]
     for name, array in (
         ("qpos", data.qpos),
         ("qvel", data.qvel),
-        ("bias", data.qfrc_bias[6:]),
-        ("ctrl", data.ctrl[6:]),
-        ("length", data.actuator_length[12:]),
-        ("speed", data.actuator_velocity[12:]),
+        ("bias", data.qfrc_bias[HEART_JOINTS:]),
+        ("ctrl", data.ctrl[HEART_JOINTS:]),
+        ("length", data.actuator_length[contact:]),
+        ("speed", data.actuator_velocity[contact:]),
         ("law", law),
         ("tip", data.site("tool_tip").xpos),
         ("tip_frame", data.site("tool_tip").xmat),
@@ -105,11 +126,12 @@ def memory(model: Any, data: Any) -> Memory:
     return block
 
 
-def struct_text() -> str:
-    """Return `LAYOUT` as the C text of ``typedef struct {...} memory;``."""
-    lines = []
-    for name in LAYOUT.names or ():
-        kind, shape = LAYOUT[name].base, LAYOUT[name].shape
+def struct_text(joints: int) -> str:
+    """Return `layout` as the C text of ``typedef struct {...} memory;``, and both JOINTS."""
+    own, lines = layout(joints), []
+    for name in own.names or ():
+        kind, shape = own[name].base, own[name].shape
         c_type = {"u": "double *", "i": "int64_t ", "f": "double "}[kind.kind]
         lines.append(f"  {c_type}{name}{f'[{shape[0]}]' if shape else ''};")
-    return "typedef struct {\n" + "\n".join(lines) + "\n} memory;\n"
+    counts = f"enum {{ HEART_JOINTS = {HEART_JOINTS}, JOINTS = {joints} }};\n"
+    return counts + "typedef struct {\n" + "\n".join(lines) + "\n} memory;\n"

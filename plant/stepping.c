@@ -85,15 +85,15 @@ static void trip(memory *m, int cause, int joint, double value, double limit) {
     m->normal[i] = m->surface_frame[3 * i + 2];
     m->tip_tripped[i] = m->tip[i];
   }
-  for (int i = 0; i < 6; i++) {
-    m->goal[i] = m->qpos[6 + i];
+  for (int i = 0; i < JOINTS; i++) {
+    m->goal[i] = m->qpos[HEART_JOINTS + i];
     m->goal_speed[i] = 0.0;
   }
 }
 
 static void watch(memory *m, int64_t step) {
   m->step = step;
-  const double *q = m->qpos + 6, *speeds = m->qvel + 6;
+  const double *q = m->qpos + HEART_JOINTS, *speeds = m->qvel + HEART_JOINTS;
   double square = 0.0, error = 0.0, turned = 0.0;
   for (int i = 0; i < 3; i++) {
     double v = (m->tip[i] - m->tip_before[i]) / m->timestep;
@@ -102,20 +102,20 @@ static void watch(memory *m, int64_t step) {
     square += v * v;
     error += (v - m->expected[i]) * (v - m->expected[i]);
   }
-  for (int i = 0; i < 6; i++) m->heart[i] += m->heart_step[i];
+  for (int i = 0; i < HEART_JOINTS; i++) m->heart[i] += m->heart_step[i];
   for (int i = 0; i < 9; i++) {
     double difference = m->tip_frame[i] - m->frame_held[i];
     turned += difference * difference;
   }
 
-  for (int i = 0; i < 6; i++) {
+  for (int i = 0; i < JOINTS; i++) {
     double travel = m->stopping[i] * speeds[i] * speeds[i] + m->reaction * fabs(speeds[i]);
     double high = speeds[i] > 0.0 ? q[i] + travel : q[i];
     double low = speeds[i] < 0.0 ? q[i] - travel : q[i];
     if (!(high <= m->upper[i])) return trip(m, JOINT_RANGE, i, high, m->upper[i]);
     if (!(low >= m->lower[i])) return trip(m, JOINT_RANGE, i, low, m->lower[i]);
   }
-  for (int i = 0; i < 6; i++)
+  for (int i = 0; i < JOINTS; i++)
     if (!(fabs(speeds[i]) <= m->joint_speed[i]))
       return trip(m, JOINT_SPEED, i, fabs(speeds[i]), m->joint_speed[i]);
   if (!(sqrt(square) <= m->tip_speed)) return trip(m, TIP_SPEED, -1, sqrt(square), m->tip_speed);
@@ -123,7 +123,7 @@ static void watch(memory *m, int64_t step) {
     return trip(m, VELOCITY, -1, sqrt(error), m->tracking_velocity);
   if (!(sqrt(turned) <= m->tracking_orientation))
     return trip(m, ORIENTATION, -1, sqrt(turned), m->tracking_orientation);
-  for (int i = 0; i < 6; i++)
+  for (int i = 0; i < HEART_JOINTS; i++)
     if (!(fabs(m->qpos[i] - m->heart[i]) <= m->tracking_heart))
       return trip(m, HEART, i, fabs(m->qpos[i] - m->heart[i]), m->tracking_heart);
   double force = force_size(m);
@@ -131,9 +131,9 @@ static void watch(memory *m, int64_t step) {
 }
 
 static void retract(memory *m) {
-  const double *q = m->qpos + 6, *speeds = m->qvel + 6;
-  double wanted[6], torque[6], share = 1.0;
-  for (int i = 0; i < 6; i++) {
+  const double *q = m->qpos + HEART_JOINTS, *speeds = m->qvel + HEART_JOINTS;
+  double wanted[JOINTS], torque[JOINTS], share = 1.0;
+  for (int i = 0; i < JOINTS; i++) {
     double goal = m->goal[i] + m->goal_speed[i] * m->timestep;
     if (goal > q[i] + m->leash) goal = q[i] + m->leash;
     if (goal < q[i] - m->leash) goal = q[i] - m->leash;
@@ -142,14 +142,14 @@ static void retract(memory *m) {
     m->goal[i] = goal;
     wanted[i] = m->stiff * (goal - q[i]) + m->damp * (m->goal_speed[i] - speeds[i]);
   }
-  for (int i = 0; i < 6; i++) {
+  for (int i = 0; i < JOINTS; i++) {
     torque[i] = 0.0;
-    for (int j = 0; j < 6; j++) torque[i] += m->inertia[6 * i + j] * wanted[j];
+    for (int j = 0; j < JOINTS; j++) torque[i] += m->inertia[JOINTS * i + j] * wanted[j];
     double room = m->torque_limit[i] - (torque[i] > 0.0 ? m->bias[i] : -m->bias[i]);
     if (!(room > 0.0)) room = 0.0;
     if (share * fabs(torque[i]) > room) share = room / fabs(torque[i]);
   }
-  for (int i = 0; i < 6; i++) m->ctrl[i] = m->bias[i] + share * torque[i];
+  for (int i = 0; i < JOINTS; i++) m->ctrl[i] = m->bias[i] + share * torque[i];
 }
 
 void advance(memory *m, mujoco_step step1, mujoco_step step2, const void *model, void *data) {

@@ -91,10 +91,10 @@ class CompiledStepper:
 
 
 @cache
-def source_text() -> str:
-    """Return the C text of the loop, one translation unit."""
+def source_text(joints: int) -> str:
+    """Return the C text of the loop for a tool with this many joints, one translation unit."""
     body = files("plant").joinpath("stepping.c").read_text(encoding="utf-8")
-    return f"#include <math.h>\n#include <stdint.h>\n\n{struct_text()}\n{body}"
+    return f"#include <math.h>\n#include <stdint.h>\n\n{struct_text(joints)}\n{body}"
 
 
 @cache

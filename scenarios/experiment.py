@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from plant.cell import Cell, heart_programme
 from plant.errors import UnstableSimulationError
+from plant.own_arm import tool_arm
 from qpmpc.backends import Fact, backend_class
 from qpmpc.controller import Compilation
 from qpmpc.force_control import ForceController
@@ -79,11 +80,12 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     period, cycles = scenario.cell.period, scenario.cycles
     backend_class(scenario.backend)  # one that is not there is told before anything is done
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
+    tool = tool_arm(scenario.cell)
     setpoint = _setpoint(scenario)
     schedule = Schedule(scenario)
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
-    library = physics_loop().library
+    library = physics_loop(tool.joints).library
 
     def another_cell() -> Cell:
         return Cell(
@@ -94,11 +96,12 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
             axes=scenario.axes,
             heart=heart,
             library=library,
+            tool=tool,
         )
 
     cell = another_cell()
     controller = make_controller(scenario, cell, setpoint, schedule)
-    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
+    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows), cell.joints)
     return Assembly(cell, setpoint, schedule, controller, log, another_cell)
 
 

@@ -23,8 +23,8 @@ Table = dict[str, Any]
 _AXES = ("x", "y", "z")
 _NO_BOUNDS = ("margin", "friction", "largest_error", "time")
 """Keys beside the bounds that must be finite."""
-_FILES = {"motion": ("file", "beats"), "setpoint": ("file",)}
-"""Keys of each table that name a file, relative to the scenario's own place."""
+_FILES = ("motion.file", "motion.beats", "setpoint.file", "cell.arm.file")
+"""Keys that name a file, relative to the scenario's own place."""
 
 
 def shipped() -> dict[str, Path]:
@@ -60,11 +60,13 @@ def load_scenario(
     table = _read(path)
     _check_keys(table, Scenario, path.name)
     table.setdefault("name", path.stem)
-    for part, names in _FILES.items():
-        for key in names:
-            named = table.get(part, {})
-            if isinstance(named.get(key), str):
-                named[key] = str((path.parent / named[key]).resolve())
+    for place in _FILES:
+        *parts, key = place.split(".")
+        named = table
+        for part in parts:
+            named = named.get(part, {})
+        if isinstance(named.get(key), str):
+            named[key] = str((path.parent / named[key]).resolve())
     moved = table.get("motion", {})
     if motion is not None and beats is not None:
         raise ScenarioError(

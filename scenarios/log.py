@@ -28,7 +28,9 @@ _TRIPS = ("none", *Cause)
 class Log:
     """What happened in each cycle. Columns are time-major arrays of the length of the run."""
 
-    def __init__(self, cycles: int, axes: Sequence[Axis], bounds: Sequence[str]) -> None:
+    def __init__(
+        self, cycles: int, axes: Sequence[Axis], bounds: Sequence[str], joints: int = 6
+    ) -> None:
         """Make room for ``cycles`` rows.
 
         Args:
@@ -36,6 +38,7 @@ class Log:
             axes: axes under force control.
             bounds: names of the bounds whose worst violation by the plan is recorded, all that
                 have rows, in the order of the rows.
+            joints: of the tool.
         """
         n = len(axes)
         self.axes, self.cycles = tuple(axes), 0
@@ -52,8 +55,8 @@ class Log:
         self.tool = np.zeros((cycles, 3))
         self.tool_velocity = np.zeros((cycles, 3))
         self.command = np.zeros((cycles, n))
-        self.torque = np.zeros((cycles, 6))
-        self.joint_velocity = np.zeros((cycles, 6))
+        self.torque = np.zeros((cycles, joints))
+        self.joint_velocity = np.zeros((cycles, joints))
         self.touching = np.zeros(cycles, dtype=bool)
         self.trip: Trip | None = None
         self.tripped = np.zeros(cycles, dtype=bool)
@@ -151,7 +154,7 @@ class Log:
             else:
                 columns.append((name, unit, pa.array(values[:end])))
 
-        joints = tuple(str(j + 1) for j in range(6))
+        joints = tuple(str(j + 1) for j in range(self.torque.shape[1]))
         add("time", "s", self.time)
         add("setpoint", "N", self.setpoint, self.axes)
         add("force", "N", self.force, _AXES)

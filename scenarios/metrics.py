@@ -104,7 +104,7 @@ def summarise(experiment: Experiment) -> Summary:
         "violations": violations(log, experiment.schedule, period),
         "status": log.status_counts(),
         "source": log.source_counts(),
-        "physics": physics_loop().told,
+        "physics": physics_loop(experiment.log.torque.shape[1]).told,
         "live_setpoint": experiment.live,
         "compiled": asdict(experiment.compilation),
         "versions": versions(),
