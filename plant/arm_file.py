@@ -1,4 +1,4 @@
-"""Read a robot's description, MJCF or URDF, without trusting it: what MuJoCo compiles names no file.
+"""Read a robot's description, MJCF or URDF, and compile it, without trusting it.
 
 Kinematics, inertias, joints, actuators and primitives are kept. Meshes, textures and whatever else
 lies in files of its own is taken out before MuJoCo sees the text, so that nothing is opened but the
@@ -26,8 +26,8 @@ _MADE = ("attach", "composite", "flexcomp", "plugin", "replicate")
 """Elements that make bodies or forces in ways that are not read."""
 _UNSEEN = ("camera", "light")
 _FOREIGN_SHAPES = ("mesh", "hfield", "sdf")
-_URDF_OPTIONS = {"inertiafromgeom": "false", "fusestatic": "false", "discardvisual": "false"}
-"""A link's mass is what the file says, never what its shapes would weigh; all names are kept."""
+_KEPT = {"fusestatic": "false", "discardvisual": "false"}
+"""So that bodies keep their names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,31 +111,26 @@ def _check_numbers(root: ET.Element, path: Path) -> None:
 
 
 def _clean_mjcf(root: ET.Element, path: Path) -> None:
-    for section in list(root):
-        if section.tag in _NOT_NEEDED:
-            root.remove(section)
-        elif section.tag not in _SECTIONS:
-            raise ArmError(path.name, f"has a section <{section.tag}>, which is not read")
-    weighed = False
+    for section in [s for s in root if s.tag in _NOT_NEEDED]:
+        root.remove(section)
+    strange = [s.tag for s in root if s.tag not in _SECTIONS]
+    if strange:
+        raise ArmError(path.name, f"has a section <{strange[0]}>, which is not read")
+    weighed = any(c.get("inertiafromgeom") == "true" for c in root.iter("compiler"))
     for compiler in root.iter("compiler"):
-        for key in ("meshdir", "texturedir", "assetdir"):
-            compiler.attrib.pop(key, None)
-        weighed |= compiler.get("inertiafromgeom") == "true"
-        compiler.set("fusestatic", "false")
-        compiler.set("discardvisual", "false")
-    for section in root.iter("default"):
-        for child in [c for c in section if c.tag in ("mesh", "material", *_UNSEEN)]:
-            section.remove(child)
-    for section in root.iter("actuator"):
-        for child in section.findall("plugin"):
-            section.remove(child)
+        for name in ("meshdir", "texturedir", "assetdir"):
+            compiler.attrib.pop(name, None)
+        compiler.attrib |= _KEPT
+    for parent, tags in (("default", ("mesh", "material", *_UNSEEN)), ("actuator", ("plugin",))):
+        for section in root.iter(parent):
+            for child in [c for c in section if c.tag in tags]:
+                section.remove(child)
     for key in root.iter("key"):
         for name in set(key.attrib) - {"name", "qpos"}:
             del key.attrib[name]
     for element in root.iter():
-        for name in ("material", "mesh", "hfield"):
-            if element.tag != "geom" or name == "material":
-                element.attrib.pop(name, None)
+        for name in ("material",) if element.tag == "geom" else ("material", "mesh", "hfield"):
+            element.attrib.pop(name, None)
     for world in root.iter("worldbody"):
         _clean_body(world, path, moves=False, weighed=weighed)
 
@@ -196,5 +191,7 @@ def _clean_urdf(root: ET.Element, path: Path) -> dict[str, float]:
             ) from None
         if speed > 0.0:
             speeds[joint.get("name", "")] = speed
-    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", _URDF_OPTIONS)
+    # A link weighs what the file says, never what its shapes would weigh.
+    own = {"inertiafromgeom": "false", **_KEPT}
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", own)
     return speeds

@@ -114,7 +114,7 @@ class Cell:
         block["substeps"] = config.substeps
         self._peak = block["peak"]
         self._contact = Contact(block, self.model, data, config.contact)
-        self._guard = Guard(config, block, (self.model, data), self._contact, self._heart, tool)
+        self._guard = Guard(config, block, (self.model, data), self._contact, (self._heart, tool))
         self._stepper: Stepper = (
             CompiledStepper(library, block, self.model, data)
             if library

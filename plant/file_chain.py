@@ -64,15 +64,14 @@ class FileChain:
     def _find(self, tip: str) -> tuple[int, Callable[[], FloatArray]]:
         """Return the body of a site, or a body itself, and how to get the pose."""
         model, data = self.file.model, self._data
-        for kind, at in (
-            (mujoco.mjtObj.mjOBJ_SITE, "site_xpos site_xmat"),
-            (mujoco.mjtObj.mjOBJ_BODY, "xpos xmat"),
-        ):
-            number = mujoco.mj_name2id(model, kind, tip)
-            if number >= 0:
-                body = model.site_bodyid[number] if kind == mujoco.mjtObj.mjOBJ_SITE else number
-                position, axes = (getattr(data, name) for name in at.split())
-                return int(body), lambda: _pose(position[number], axes[number])
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, tip)
+        if site >= 0:
+            return int(model.site_bodyid[site]), lambda: _pose(
+                data.site_xpos[site], data.site_xmat[site]
+            )
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip)
+        if body >= 0:
+            return int(body), lambda: _pose(data.xpos[body], data.xmat[body])
         names = [model.site(i).name for i in range(model.nsite)]
         names += [model.body(i).name for i in range(1, model.nbody)]
         near = get_close_matches(tip, names, n=1, cutoff=0.5)
@@ -130,48 +129,37 @@ class FileChain:
         return []  # of tendons, which are looked at themselves
 
     def links(self) -> tuple[Link, tuple[Link, ...]]:
-        """Return the base and the links.
+        """Return the base and the links, and note where the last one's frame is, `end`.
 
         Raises:
             ArmError: one has no mass, or not a number.
         """
         model, data = self.file.model, self._data
-        base = _pose(data.xpos[self.way[0]], data.xmat[self.way[0]])
-        frame, carried = base, []
-        links: list[Link] = []
-        standing = Link(base, None)
-        moved: Link | None = None
-
-        def close() -> None:
-            """Give the link so far what it carries."""
-            nonlocal standing
-            if moved is None:
-                standing = replace(standing, drawn=self._drawn(carried, frame))
-                return
-            inertia = self._weigh(carried, frame)
-            if not inertia.mass > _LIGHTEST:
-                raise ArmError(
-                    self.file.name, f"what joint '{self.names[len(links) - 1]}' moves has no mass"
-                )
-            links[-1] = replace(moved, inertia=inertia, drawn=self._drawn(carried, frame))
-
+        groups: list[tuple[list[int], list[int]]] = [([], [])]  # joints, and bodies that they move
         for body in self.way:
             own = [j for j in self.joints if model.jnt_bodyid[j] == body]
             if own:
-                close()
-                carried = []
-            for j in own:
-                axis = data.xaxis[j]
-                turn = rotation_between(data.xmat[body].reshape(3, 3)[:, 2], axis)
-                here = _pose(data.xanchor[j], turn @ data.xmat[body].reshape(3, 3))
+                groups.append((own, []))
+            groups[-1][1].extend(self._fixed_to(body))
+        frame = _pose(data.xpos[self.way[0]], data.xmat[self.way[0]])
+        base = Link(frame, None, self._drawn(groups[0][1], frame))
+        links: list[Link] = []
+        for joints, bodies in groups[1:]:
+            for j in joints:
+                axes = data.xmat[model.jnt_bodyid[j]].reshape(3, 3)
+                here = _pose(data.xanchor[j], rotation_between(axes[:, 2], data.xaxis[j]) @ axes)
                 slides = bool(model.jnt_type[j] == _SLIDE)
-                moved = Link(np.linalg.inv(frame) @ here, None, slides=slides)
-                links.append(moved)
+                links.append(Link(np.linalg.inv(frame) @ here, None, slides=slides))
                 frame = here
-            carried += self._fixed_to(body)
-        close()
+            inertia = self._weigh(bodies, frame)
+            if not inertia.mass > _LIGHTEST:
+                name = self.names[self.joints.index(joints[-1])]
+                raise ArmError(self.file.name, f"what joint '{name}' moves has no mass")
+            drawn = self._drawn(bodies, frame)
+            links[-1] = replace(links[-1], inertia=inertia, drawn=drawn)
         self.end = frame
-        return standing, tuple(links)
+        """Where the last link's frame is, in the file's world, ``(4, 4)`` [m]."""
+        return base, tuple(links)
 
     def _fixed_to(self, body: int) -> list[int]:
         """Return a body of the way and what hangs on it off the way, joints of that locked."""

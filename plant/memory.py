@@ -1,7 +1,8 @@
 """What the physics loop works on, in one block of memory: for Python as arrays, for C as a struct.
 
 The layout stands here once, for a tool of any number of joints. `struct_text` writes it as the C
-struct that ``stepping.c`` is compiled with, so the two cannot disagree. Every member is eight bytes wide: no padding, on any platform.
+struct that ``stepping.c`` is compiled with, so the two cannot disagree. Every member is eight bytes
+wide: no padding, on any platform.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ HEART_JOINTS = 6
 _EACH, _PAIRS = -1, -2
 """Sizes that stand for one entry for each joint of the tool, and for each pair of joints."""
 
-_MEMBERS = (
+_MEMBERS: Any = (
     [(name, np.uintp) for name in _POINTERS]
     + [
         # counts and states

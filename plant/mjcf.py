@@ -24,9 +24,10 @@ What MuJoCo does with ``refsite``: length and force of each contact actuator are
 ``heart_surface``, which turn with the heart's flange. As K and D are the same on all axes, the
 *vector* does not depend on these axes: ``-R`` times the forces of the three actuators, with R the
 world orientation of ``heart_surface``, is y in the world, exactly, however the flange turns. Tool
-and tissue are pushed at their own sites; the spring force lies on the line between the two, so no moment is lost; only
-a damping force across that line leaves one, of force times distance (2 N at 2 mm: 4 mN m). Without
-R the error is the force times the angle of the flange, below 0.3 mrad under 10 N (measured).
+and tissue are pushed at their own sites; the spring force lies on the line between the two, so no
+moment is lost; only a damping force across that line leaves one, of force times distance (2 N at
+2 mm: 4 mN m). Without R the error is the force times the angle of the flange, below 0.3 mrad under
+10 N (measured).
 """
 
 from xml.etree import ElementTree as ET

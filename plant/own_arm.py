@@ -61,10 +61,8 @@ def own_arm(config: ArmConfig) -> Arm:
 
 def _with_figures(chain: FileChain, config: ArmConfig) -> Arm:
     """Return the arm of a chain in its own world, its home unknown, with all its figures."""
-    model = chain.file.model
     base, links = chain.links()
     n = len(links)
-    dofs = chain.dofs
     figures = _figures(chain, config)
     ranges = _ranges(chain, config)
     tip = np.linalg.inv(chain.end) @ chain.tip
@@ -141,7 +139,7 @@ def _ranges(chain: FileChain, config: ArmConfig) -> FloatArray:
         if len(ranges) != n:
             raise ArmError(
                 "cell.arm.joint_range",
-                f"must have {n} pairs, one for each joint, got {len(ranges)}",
+                f"must have {n} pairs, one a joint, got {len(ranges)}",
             )
     else:
         ranges = model.jnt_range[chain.joints].copy()
@@ -188,8 +186,9 @@ def _draw(arm: Arm) -> Arm:
             middle[:3, :3] = rotation_between(np.array([0.0, 0.0, 1.0]), direction)
             middle[:3, 3] = after[:3, 3] / 2.0
             bar = Shape("capsule", np.array([0.04, length / 2.0, 0.0]), middle)
-            link = replace(link, drawn=(bar,))
-        links.append(link)
+            links.append(replace(link, drawn=(bar,)))
+        else:
+            links.append(link)
     return replace(arm, links=tuple(links))
 
 

@@ -16,7 +16,7 @@ _ITERATIONS = 30
 _DOWN = np.array([0.0, 0.0, -1.0])
 _LENGTH = 0.3
 """What a turn of the instrument counts against a displacement, where the two are weighed [m]."""
-_SEARCHES, _NEARBY = 300, 60
+_SEARCHES, _NEARBY = 150, 40
 """Random postures to start from where there is no guess, and around one that fails."""
 _STEPS = 60
 _STEP = 0.3

@@ -68,8 +68,7 @@ class Guard:
         block: Memory,
         engine: tuple[Any, Any],
         contact: Contact,
-        heart: Programme,
-        tool: Arm,
+        arms: tuple[Programme, Arm],
     ) -> None:
         """Derive limits and gains.
 
@@ -78,9 +77,9 @@ class Guard:
             block: what it shares with the physics loop.
             engine: model and data of MuJoCo.
             contact: released at a trip.
-            heart: Robot_Heart's programme.
-            tool: Robot_Tool.
+            arms: Robot_Heart's programme, and Robot_Tool.
         """
+        heart, tool = arms
         own, lag = config.protection, config.imperfections.torque_lag
         self._config, self._block = own, block
         model, data = self._model, self._data = engine
