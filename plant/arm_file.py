@@ -59,11 +59,19 @@ def read_arm_file(path: Path) -> ArmFile:
         speeds = _clean_urdf(root, path)
     else:
         raise ArmError(path.name, f"neither MJCF nor URDF: its root is <{root.tag}>")
+    return ArmFile(path.name, _compile(root, path), speeds)
+
+
+def _compile(root: ET.Element, path: Path) -> Any:
+    """Compile what is left, without the log file that MuJoCo would write a warning into."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)  # of inertias, which are looked at at home
     try:
-        model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+        return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     except ValueError as error:
         raise ArmError(path.name, " ".join(str(error).split())) from None
-    return ArmFile(path.name, model, speeds)
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _parse(path: Path) -> ET.Element:
@@ -103,7 +111,7 @@ def _expand(parent: ET.Element, path: Path, seen: set[Path]) -> None:
 
 
 def _check_numbers(root: ET.Element, path: Path) -> None:
-    """Refuse what MuJoCo would only warn of."""
+    """Refuse numbers that are none, which MuJoCo takes."""
     for element in root.iter():
         for key, value in element.items():
             if key != "name" and {"nan", "inf"} & {w.lstrip("+-") for w in value.lower().split()}:

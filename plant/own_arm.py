@@ -13,6 +13,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from plant.arm_file import read_arm_file
 from plant.arm_model import (
@@ -32,6 +33,8 @@ from plant.viper import CONTACT_POINT, TOOL, VIPER_S650, FloatArray
 
 _SINGULAR = 0.02
 """Conditioning of a home below which it counts as singular [m/rad]."""
+_WEIGHTLESS = 1e-9
+"""Inertia that no combination of joints may fall below [kg m^2]."""
 
 
 def tool_arm(config: CellConfig) -> Arm:
@@ -217,6 +220,12 @@ def _stand(arm: Arm, chain: FileChain, config: ArmConfig) -> Arm:
             "cell.arm.home",
             f"the posture{near} that {place} is singular, or nearly so (gain "
             f"{stance.conditioning:.2g}, needs {_SINGULAR:g} m/rad): give another",
+        )
+    own = build_arm_model(arm)
+    inertia = pin.crba(own.model, own.model.createData(), stance.home)
+    if not np.linalg.eigvalsh(inertia)[0] > _WEIGHTLESS:
+        raise ArmError(
+            "cell.arm.armature", f"{chain.file.name}: a joint moves no inertia, and has no armature"
         )
     return _at(arm, stance)
 

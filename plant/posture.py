@@ -27,7 +27,8 @@ _CLEARANCE = 0.5
 _REACH = (0.25, 0.9)
 """Horizontal distances of the base from the contact point that are tried [m]."""
 _LOWEST = 0.05
-"""Height above the floor that every joint has in a posture that is searched for [m]."""
+"""Height above the floor that every joint but the first has in a posture that is searched for
+[m]."""
 _BEYOND = 0.1
 """How far a joint may reach over to the heart's side in such a posture [m]."""
 
@@ -136,7 +137,7 @@ class _Search:
         q = stance.home
         ends = np.minimum(q - self.lower, self.upper - q).min() / _CLEARANCE
         pin.forwardKinematics(self._arm.model, self._data, q)
-        for placement in self._data.oMi.tolist()[1:]:
+        for placement in self._data.oMi.tolist()[2:]:  # the first joint stays where it is
             x, _, z = (stance.base @ [*placement.translation, 1.0])[:3]
             if z < _LOWEST or x < self._point[0] - _BEYOND:
                 return 0.0

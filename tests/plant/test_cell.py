@@ -317,8 +317,13 @@ BASE = {
 """Where a field needs more than the default for its effect: here the tool lifts off."""
 
 
-CALM = [path for path in leaves(CellConfig) if path[0] != "protection"]
-"""All but what has an effect in distress only: see test_protection."""
+CALM = [
+    path
+    for path in leaves(CellConfig)
+    if path[0] not in ("protection", "arm") and not path[-1].startswith("posture")
+]
+"""All but what has an effect in distress only, see test_protection, and what is about other arms,
+see test_own_arm and test_redundant."""
 
 
 @pytest.mark.parametrize("path", CALM, ids=".".join)

@@ -11,7 +11,7 @@ import pytest
 
 from plant import Cell, ContactConfig, PlantError
 from plant.contact import GRIP, Contact
-from plant.memory import LAYOUT
+from plant.memory import layout
 from plant.viper import CONTACT_POINT
 
 K = 2500.0
@@ -257,8 +257,8 @@ def test_a_round_trip_costs_energy(seed, damping):
     law[12:, 1], law[12:, 2] = -K, -damping
     site = SimpleNamespace(xmat=np.eye(3).ravel())
     contact = Contact(
-        np.zeros((), LAYOUT),
-        SimpleNamespace(actuator_biasprm=law),
+        np.zeros((), layout(6)),
+        SimpleNamespace(actuator_biasprm=law, actuator=lambda name: SimpleNamespace(id=12)),
         SimpleNamespace(actuator_length=length, actuator_velocity=rate, site=lambda name: site),
         ContactConfig(stiffness=K, damping=damping, unilateral=True),
     )

@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 
 from plant import JointPlant, JointSpace
-from plant.arm_model import build_arm_model
+from plant.arm_model import build_arm_model, viper_arm
 from plant.config import ToolConfig
 from plant.inner_loop import InnerLoop
 from plant.viper import TOOL, VIPER_S650
 
-ARM = build_arm_model(VIPER_S650, TOOL, 0.2)
+ARM = build_arm_model(viper_arm(VIPER_S650, TOOL), 0.2)
 Q = np.array([0.1, -1.6, 2.9, 0.2, 0.5, -0.1])
 QDOT = np.array([0.3, -0.2, 0.4, -0.5, 0.2, 0.6])
 FORCE, PREVIOUS = np.array([1.0, 2.0, -10.0]), np.array([3.0, -4.0, 5.0])

@@ -5,6 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from plant.arm_model import viper_arm
 from plant.mjcf import SERVO_DAMPING, SERVO_STIFFNESS, cell_mjcf
 from plant.viper import HEART, TOOL, VIPER_S650, ArmSpec, FloatArray, Quantity, Station
 
@@ -23,7 +24,7 @@ def cell_text(
         "friction": 1.0,
         "torque_lag": 0.0,
     }
-    return cell_mjcf(spec, heart, tool, **(arguments | changed))
+    return cell_mjcf(viper_arm(spec, heart), viper_arm(spec, tool), **(arguments | changed))
 
 
 def cell_at_home(

@@ -16,7 +16,7 @@ import pytest
 
 from plant import Cause, PlantError, ProtectionConfig, force_cap
 from plant.cell import heart_programme
-from plant.memory import LAYOUT, struct_text
+from plant.memory import layout, struct_text
 from plant.viper import VIPER_S650
 from scenarios.physics import physics_loop
 
@@ -29,7 +29,7 @@ DOWN = -UP
 
 @pytest.fixture(scope="module")
 def library():
-    found = physics_loop()
+    found = physics_loop(6)
     if found.library is None:
         pytest.skip(found.told)
     return found.library
@@ -221,7 +221,7 @@ def test_brakes_let_the_guard_rest(realistic, make_cell, beating, drive):
 def test_the_tool_is_taken_off_the_tissue_and_held(way, unilateral, realistic, make_cell, still):
     distance, speed = way
     config = realistic(retraction=distance, retraction_speed=speed, unilateral=unilateral)
-    cell = make_cell(config, still(1500), library=physics_loop().library)
+    cell = make_cell(config, still(1500), library=physics_loop(6).library)
     trip = until_trip(cell, 10.0 * DOWN)
     assert trip.cause is Cause.FORCE
     tissue = cell.truth().tissue
@@ -354,13 +354,18 @@ def test_the_compiled_loop_is_the_loop_in_python_bit_for_bit(seed, library):
     assert tripped >= 4
 
 
-def test_the_struct_is_the_layout():
-    lines = struct_text().splitlines()[1:-1]
-    assert len(lines) == len(LAYOUT.names)
-    assert "  double goal[6];" in lines
+@pytest.mark.parametrize("joints", [6, 7])
+def test_the_struct_is_the_layout(joints):
+    counts, _, *lines, _ = struct_text(joints).splitlines()
+    own = layout(joints)
+    assert f"JOINTS = {joints} " in counts
+    assert len(lines) == len(own.names)
+    assert f"  double goal[{joints}];" in lines
+    assert f"  double inertia[{joints**2}];" in lines
+    assert "  double heart[6];" in lines
     assert "  int64_t substeps;" in lines
     assert "  double *qpos;" in lines
-    assert LAYOUT.itemsize == 8 * sum(math.prod(LAYOUT[n].shape) for n in LAYOUT.names)
+    assert own.itemsize == 8 * sum(math.prod(own[n].shape) for n in own.names)
 
 
 def test_a_library_of_something_else_is_refused(realistic, make_cell, still):
