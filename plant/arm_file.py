@@ -65,7 +65,7 @@ def read_arm_file(path: Path) -> ArmFile:
 def _compile(root: ET.Element, path: Path) -> Any:
     """Compile what is left, without the log file that MuJoCo would write a warning into."""
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: None)  # of inertias, which are looked at at home
+    mujoco.set_mju_user_warning(lambda _: None)  # of inertias, which are looked at at home
     try:
         return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     except ValueError as error:
