@@ -24,7 +24,9 @@ from scenarios import (
 )
 from scenarios.motion import MotionConfig
 
-NAMES = ("constrained", "ecg", "ideal", "latency", "paper", "paper-1d", "paper-law")
+NAMES = (
+    "constrained", "ecg", "ideal", "latency", "other-arm", "paper", "paper-1d", "paper-law",
+)  # fmt: skip
 
 
 def refusal(*arguments, kind=ScenarioError, **named) -> str:
