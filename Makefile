@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test test-hostile test-peers bench-peers docs lint format setup clean help
+.PHONY: demo test test-hostile test-live test-peers bench-peers docs lint format setup clean help
 
 help:  ## list the verbs
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -18,6 +18,9 @@ test: $(VENV)/.installed-dev  ## set up and run the test suite
 
 test-hostile: $(VENV)/.installed-dev  ## 10,000 hostile command sequences against the protection
 	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py
+
+test-live: $(VENV)/.installed-dev  ## a live setpoint for a minute, its sender killed, the port flooded
+	$(BIN)/python -m pytest -m minute -rP tests/scenarios/test_live_siege.py
 
 test-peers: $(VENV)/.installed-dev  ## run a real peer end to end, from PyPI
 	$(BIN)/python -m pytest -m peers tests/bench/test_peers.py

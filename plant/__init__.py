@@ -2,6 +2,7 @@
 
 from plant.cell import Cell
 from plant.config import (
+    ArmConfig,
     CellConfig,
     ContactConfig,
     ImperfectionConfig,
@@ -9,12 +10,15 @@ from plant.config import (
     SensorConfig,
     ToolConfig,
 )
-from plant.errors import PlantError
+from plant.errors import ArmError, PlantError
 from plant.interface import Cause, JointPlant, JointSpace, Measurement, Plant, Trip, Truth
+from plant.own_arm import tool_arm
 from plant.playback import UnreachableMotionError
 from plant.protection import force_cap
 
 __all__ = [
+    "ArmConfig",
+    "ArmError",
     "Cause",
     "Cell",
     "CellConfig",
@@ -32,4 +36,5 @@ __all__ = [
     "Truth",
     "UnreachableMotionError",
     "force_cap",
+    "tool_arm",
 ]
