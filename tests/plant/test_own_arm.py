@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -337,20 +338,15 @@ THIRD_PARTY = {
 
 @pytest.mark.parametrize("name", sorted(THIRD_PARTY))
 def test_descriptions_of_others_are_read(name):
-    """Where example-robot-data is installed; it is no dependency."""
-    found = pytest.importorskip("example_robot_data")
-    folder = Path(found.__file__).parents[4] / "share/example-robot-data/robots"
+    """Where the package example-robot-data is installed; it is no dependency."""
+    try:
+        files = metadata.files("example-robot-data") or []
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    path = next(file.locate() for file in files if str(file).endswith(name))
     tip, keys = THIRD_PARTY[name]
-    arm = own_arm(
-        ArmConfig(
-            str(folder / name),
-            tip,
-            armature=0.1,
-            coulomb_friction=1.0,
-            viscous_friction=0.5,
-            **keys,
-        )
-    )
+    losses = {"coulomb_friction": 1.0, "viscous_friction": 0.5}
+    arm = own_arm(ArmConfig(str(path), tip, armature=0.1, **losses, **keys))
     assert arm.joints in (6, 7)
 
 
