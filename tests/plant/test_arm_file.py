@@ -162,14 +162,19 @@ def test_keys_that_do_not_fit_are_refused_in_one_line(key, tmp_path):
     assert told in refused(tmp_path, six_mjcf(), **{key: value})
 
 
-def test_an_empty_range_and_a_singular_home_are_refused(tmp_path):
+def test_an_empty_range_is_refused(tmp_path):
     crossed = ((-1.0, 1.0),) * 5 + ((1.0, -1.0),)
     assert "joint 'joint6' is empty" in refused(tmp_path, six_mjcf(), joint_range=crossed)
-    # The wrist's axes in line: one direction is lost.
-    straight = (0.0, -1.2, 1.9, -0.7, 0.0, 0.0)
-    narrow = tuple((angle - 0.001, angle + 0.001) for angle in straight)
-    line = refused(tmp_path, six_mjcf(), home=straight, joint_range=narrow)
-    assert re.search(r"cell\.arm\.home: (no posture|the posture) near the given one", line)
+
+
+def test_a_singular_home_is_refused(tmp_path):
+    """The last joint turns about the vertical as the fourth does: one turn is lost."""
+    text = arm_files.GANTRY.replace('axis="1 -1 0"', 'axis="0 0 1"')
+    keys = {"tip": "end", "joint_speed": 1.0, "armature": None}
+    line = refused(tmp_path, text, home=(0.0, 0.0, -0.3, 0.0, 0.5, 0.0), **keys)
+    assert "the posture near the given one that presses straight down" in line
+    assert "is singular, or nearly so (gain " in line
+    assert "no posture presses" in refused(tmp_path, text, **keys)  # none that is searched for
 
 
 def test_joints_that_move_nothing_need_armature(tmp_path):
