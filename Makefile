@@ -16,8 +16,8 @@ demo: $(VENV)/.installed  ## set up and run the paper's experiment
 test: $(VENV)/.installed-dev  ## set up and run the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-hostile: $(VENV)/.installed-dev  ## 10,000 hostile command sequences against the protection
-	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py
+test-hostile: $(VENV)/.installed-dev  ## 13,000 hostile command sequences against the protection
+	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py tests/plant/test_redundant.py
 
 test-live: $(VENV)/.installed-dev  ## a live setpoint for a minute, its sender killed, the port flooded
 	$(BIN)/python -m pytest -m minute -rP tests/scenarios/test_live_siege.py

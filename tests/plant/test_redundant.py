@@ -200,6 +200,20 @@ def test_no_hostile_controller_breaks_a_promise(kind, tmp_path):
     assert worst.sequences - worst.tripped["none"] >= 12
 
 
+@pytest.mark.hostile
+@pytest.mark.parametrize("kind", ["panda", "gantry", "urdf"])
+def test_a_thousand_hostile_sequences_break_no_promise(kind, tmp_path):
+    arm = arm_files.own(tmp_path, kind)
+    library = physics_loop(own_arm(arm).joints).library
+    worst = hostile.Worst()
+    for ring in hostile.rings([11, 5], 14, 400, library, arm):
+        for controller in hostile.CONTROLLERS:
+            for _ in range(6):
+                ring.fight(controller(ring.rng), worst)
+    assert worst.sequences == 1008
+    print(kind, worst)
+
+
 def test_the_cap_is_that_of_the_arm(realistic):
     config = realistic(arm=arm_files.PANDA)
     assert force_cap(config, 0.1) == force_cap(config, 0.1, tool_arm(config))
