@@ -7,11 +7,13 @@ import tyro
 from bench.verbs.bench import Bench
 from bench.verbs.compare import Compare
 from bench.verbs.lists import Backends, Scenarios
+from bench.verbs.report import Report
 from bench.verbs.run import Run
 
 Command = (
     Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Scenarios, tyro.conf.subcommand("scenarios")]
     | Annotated[Backends, tyro.conf.subcommand("backends")]
