@@ -7,7 +7,7 @@ from typing import Any
 from bench.report import tables
 from bench.report.benches import DeadlineBench, LatencyBench
 from bench.report.distributions import error_histogram, error_spectrum
-from bench.report.drawing import Figure
+from bench.report.drawing import BOTTOM, GAP, TICKS, TITLE, Figure
 from bench.report.folders import Found
 from bench.report.markup import Markup, element
 from bench.report.page import page, place, section, time_bar
@@ -59,14 +59,23 @@ def compose(found: Sequence[Found], said: Sequence[str]) -> str:
         "configuration",
         "Configuration and versions",
         tables.configuration(runs) if runs else None,
-        *(tables.machine_table(_machine(one)) for one in found if not isinstance(one, Run)),
-        tables.versions_table({name: v for name, v in told.items() if isinstance(v, dict)}),
+        element(
+            "div",
+            tables.versions_table({name: v for name, v in told.items() if isinstance(v, dict)}),
+            *(
+                tables.machine_table(one.name, _machine(one))
+                for one in found
+                if not isinstance(one, Run)
+            ),
+            class_="tables",
+        ),
     )
     figures = {id_: asdict(figure) for id_, figure in report.figures.items()}
     starts = [run.start for run in runs if run.cycles]
     ends = [run.start + (run.cycles - 1) * run.period for run in runs if run.cycles]
     header = {
         "figures": figures,
+        "layout": {"title": TITLE, "gap": GAP, "ticks": TICKS, "bottom": BOTTOM},
         "span": [min(starts), max(*ends, min(starts) + 1e-3)] if starts else [0.0, 1.0],
         "finest": min((run.period for run in runs), default=1e-3),
     }
@@ -95,7 +104,7 @@ def _add_runs(report: _Report, runs: Sequence[Run]) -> None:
         "summary",
         "At a glance",
         tiles(runs[0]) if len(runs) == 1 else None,
-        tables.force_table(runs) if len(runs) > 1 else tables.axes_table(runs[0]),
+        tables.force_tables(runs) if len(runs) > 1 else tables.axes_table(runs[0]),
     )
     if over_time:
         report.add("time", "Over time", events(runs), time_bar(), *over_time)
@@ -109,9 +118,9 @@ def _add_runs(report: _Report, runs: Sequence[Run]) -> None:
         "latency",
         "Latency",
         report.draw(_run_percentiles(runs, report.payload)),
-        tables.timing_table(runs),
+        tables.timing_tables(runs),
     )
-    report.add("figures", "Bounds and solver", tables.other_table(runs))
+    report.add("figures", "Bounds and solver", tables.other_tables(runs))
 
 
 def _run_percentiles(runs: Sequence[Run], payload: Payload) -> Figure:
@@ -200,6 +209,22 @@ def _machine(bench: LatencyBench | DeadlineBench) -> dict[str, Any]:
     return machine if isinstance(machine, dict) else {}
 
 
+def _measured(bench: LatencyBench | DeadlineBench) -> str:
+    """Say what was measured."""
+    if isinstance(bench, LatencyBench):
+        cycles = ", ".join(f"{stream.cycles:,}" for stream in bench.result.streams)
+        return (
+            f"{bench.name}: {cycles} recorded cycles of the scenario {bench.result.scenario}, seed "
+            f"{bench.result.seed}, solved by each backend."
+        )
+    told = bench.result
+    how = "paced by the clock" if told.get("mode") == "paced" else "as fast as it goes"
+    return (
+        f"{bench.name}: {cell(told.get('cycles'))} cycles of the scenario {told.get('scenario')}, "
+        f"seed {told.get('seed')}, in closed loop with the cell, {how}."
+    )
+
+
 def _versions(one: Found) -> Any:
     return one.summary.get("versions") if isinstance(one, Run) else _machine(one).get("versions")
 
@@ -234,6 +259,7 @@ def _lead(found: Sequence[Found]) -> list[str]:
         if isinstance(backend, str):
             parts.append(f"backend {backend}")
         lead.append("; ".join(parts) + ".")
+    lead += [_measured(one) for one in found if not isinstance(one, Run)]
     if len(runs) > 1:
         spans = sorted({round(run.cycles * run.period, 6) for run in runs})
         lead.append(

@@ -6,6 +6,8 @@ from typing import Literal
 Level = Literal["good", "caution", "bad"]
 """How a state of a band is to be taken: as it should be, something stood in, something failed."""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
+TITLE, GAP, TICKS, BOTTOM = 22, 12, 20, 44
+"""Pixels above a panel with a title, below each, below one with an x of its own, below the last."""
 COLOURS = 6
 """Colours of series in the style sheet, ``--series-0`` and on."""
 
@@ -98,6 +100,12 @@ class Figure:
     """Whether x is the time of the run, common to all such figures."""
     shared: bool = True
     """Whether its panels have the same range of x."""
+
+    @property
+    def height(self) -> int:
+        """Pixels of the whole drawing."""
+        own = 0 if self.shared else TICKS * (len(self.panels) - 1)
+        return own + BOTTOM + sum(p.height + GAP + TITLE * bool(p.title) for p in self.panels)
 
 
 def series(index: int, width: float = 1.2) -> Style:

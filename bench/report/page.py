@@ -31,7 +31,6 @@ def section(id_: str, title: str, *parts: Markup | None) -> Markup:
 def place(figure: Figure) -> Markup:
     """Return the place of a figure: title, legend, drawing area, and what it shows in words."""
     name = figure.id
-    height = sum(panel.height + 34 for panel in figure.panels)
     sentences = element("ul", *(element("li", text) for text in figure.caption))
     if len(figure.caption) > _MOST_SENTENCES:
         sentences = element(
@@ -55,7 +54,7 @@ def place(figure: Figure) -> Markup:
         element(
             "div", id=f"plot-{name}", class_="plot", role="img", data_figure=name,
             aria_labelledby=f"title-{name}", aria_describedby=f"words-{name}",
-            style=f"min-height:{height}px",
+            style=f"height:{figure.height}px",
         ),
         element("figcaption", sentences, id=f"words-{name}"),
         class_="figure",

@@ -12,52 +12,52 @@ from bench.report.words import NOTHING, cell, newton, percent
 
 _STATISTICS = {"rms": "RMS", "max": "largest", "p99": "99 % within", "peak_to_peak": "peak to peak"}
 _SETS = {"uncompensated": "held still", "compensated": "controlled"}
-_STAGES = {
-    "cycle_us": "control cycle",
-    "solve_us": "solve",
-    "build_us": "build of the problem",
-    "plant_us": "simulated cell",
-}
 _PERCENTILES = {"p50": "median", "p99": "p99", "p999": "p99.9", "p9999": "p99.99", "max": "slowest"}
 _TOLD = {"axes", "paper", "timing", "versions", "scenario", "backend_facts"}
 """Keys of a summary that have a table, or a place, of their own."""
-_CALLED = {
-    "seed": "seed",
-    "cycles": "cycles",
+_FAMILIES = {
+    "": "Run",
+    "form": "Form of the problem",
+    "trip": "Protection",
+    "saturation": "Saturated cycles",
+    "increment_rms": "RMS of the command's increment [m/s²]",
+    "violations.force": "Force beyond its bound [N]",
+    "violations.velocity": "Velocity beyond its bound [m/s]",
+    "violations.command": "Command beyond its bound [m/s²]",
+    "status": "How solves ended",
+    "source": "Where commands came from",
+    "compiled": "Compiled step",
+    "comparison": "Beside a certified answer",
+    "live_setpoint": "Live setpoint",
+    "timing": "Cycles",
+    "timing.cycle_us": "Control cycle [µs]",
+    "timing.solve_us": "Solve [µs]",
+    "timing.build_us": "Building of the problem [µs]",
+    "timing.plant_us": "Simulated cell [µs]",
+    "timing.wall_s": "Time that it took [s]",
+    "timing.real_time_factor": "Times real time",
+}
+"""Titles of the tables of keys that have the same parent; others are titled by its name."""
+_CALLED = _PERCENTILES | {
+    "count": "cycles",
+    "worst": "at worst",
+    "integral": "excess summed over time",
     "counted": "cycles that count",
     "complete": "ran to its end",
     "stopped": "ended by",
-    "backend": "backend",
-    "controller": "controller",
-    "form.name": "form of the problem",
-    "form.reason": "why this form",
-    "trip.cause": "protection tripped on",
-    "trip.time": "tripped at [s]",
     "force_peak": "largest force at any physics step [N]",
-    "saturation.torque": "torque cut at its limit",
-    "saturation.command": "command on its bound",
     "physics": "loop over physics steps",
-    "compiled.used": "step compiled",
-    "compiled.reason": "why not compiled",
-    "compiled.interpreted_cycles": "cycles handed to the interpreted path",
-    "comparison.command_error": "largest error of the command [m/s²]",
-    "comparison.command_error_rms": "RMS error of the command [m/s²]",
-    "comparison.without_reference": "cycles without a certified answer",
-    "live_setpoint": "live setpoint",
     "trip": "protection tripped",
-}
-_FAMILIES = {
-    "violations": "beyond the bound on",
-    "status": "status",
-    "source": "command from",
-    "increment_rms": "RMS of the command's increment",
-}
-_PARTS = {
-    "count": "cycles",
-    "worst": "at worst",
-    "integral": "excess over time",
+    "misses": "beyond their period",
+    "used": "used",
+    "reason": "why, or why not",
+    "command_error": "largest error of the command [m/s²]",
+    "command_error_rms": "RMS error of the command [m/s²]",
+    "without_reference": "cycles without one",
 }
 _SHARES = {"saturation"}
+_LONG = 24
+"""Letters of a cell that may be broken."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +75,12 @@ def table(caption: str, columns: Sequence[str], rows: Iterable[Row], *, corner: 
         element("th", corner, scope="col") if corner else element("td"),
         *(element("th", name, scope="col") for name in columns),
     )
-    body = [
-        element(
-            "tr",
-            element("th", row.head, scope="row"),
-            *(element("td", text) for text in row.cells),
+    body = []
+    for row in rows:
+        cells = (
+            element("td", text, class_="long" if len(text) > _LONG else None) for text in row.cells
         )
-        for row in rows
-    ]
+        body.append(element("tr", element("th", row.head, scope="row"), *cells))
     return element(
         "div",
         element(
@@ -121,73 +119,70 @@ def axes_table(run: Run) -> Markup:
             _whole(dig(paper, "reduction", axis, "rms")),
         )
         rows.append(Row(axis, cells))
-    return table(_force_caption(paper), columns, rows, corner="axis")
+    caption = f"Contact force error. {_source(paper)}"
+    return table(caption, columns, rows, corner="axis")
 
 
-def force_table(runs: Sequence[Run]) -> Markup:
-    """Contact force error of each axis in every run, and in the paper."""
+def force_tables(runs: Sequence[Run]) -> Markup:
+    """Contact force error in every run and in the paper, one table an axis."""
     paper = next((p for run in runs if isinstance(p := run.summary.get("paper"), dict)), {})
-    rows = []
+    columns = [*(run.name for run in runs), "paper"]
+    made = []
     for axis in [a for a in "xyz" if any(a in run.summary["axes"] for run in runs)]:
+        rows = []
         for key, called in _SETS.items():
             for statistic in _present(runs, "axes", axis, key):
                 what = _STATISTICS.get(statistic, statistic)
                 path = ("axes", axis, key, statistic)
                 cells = [_newton(dig(run.summary, *path)) for run in runs]
                 cells.append(cell(dig(paper, key, axis, statistic)))
-                rows.append(Row(f"{axis}: {called}, {what} [N]", tuple(cells)))
+                rows.append(Row(f"{called}, {what} [N]", tuple(cells)))
         for statistic in _present(runs, "axes", axis, "reduction"):
             what = _STATISTICS.get(statistic, statistic)
-            cells = [
-                _percent(dig(run.summary, "axes", axis, "reduction", statistic)) for run in runs
-            ]
+            path = ("axes", axis, "reduction", statistic)
+            cells = [_percent(dig(run.summary, *path)) for run in runs]
             cells.append(_whole(dig(paper, "reduction", axis, statistic)))
-            rows.append(Row(f"{axis}: reduction of the {what}", tuple(cells)))
-    return table(
-        _force_caption(paper),
-        [*(run.name for run in runs), "paper"],
-        rows,
-        corner="axis and figure",
+            rows.append(Row(f"reduction of the {what}", tuple(cells)))
+        made.append(table(f"Contact force error on {axis}", columns, rows, corner="figure"))
+    return join(element("p", _source(paper)), element("div", *made, class_="tables"))
+
+
+def timing_tables(runs: Sequence[Run]) -> Markup:
+    """What the stages of a cycle took."""
+    return _families(runs, [{"timing": run.summary.get("timing")} for run in runs])
+
+
+def other_tables(runs: Sequence[Run]) -> Markup:
+    """Every figure of the summaries that has no other place."""
+    return _families(
+        runs,
+        [
+            {key: value for key, value in run.summary.items() if key not in _TOLD} | run.extra
+            for run in runs
+        ],
     )
 
 
-def timing_table(runs: Sequence[Run]) -> Markup:
-    """What the stages of a cycle took."""
-    rows = []
-    for stage in _present(runs, "timing"):
-        for key in _present(runs, "timing", stage):
-            if stage.endswith("_us"):
-                called = f"{_STAGES.get(stage, stage.removesuffix('_us'))}, "
-                called += f"{_PERCENTILES.get(key, key)} [µs]"
-            else:
-                called = f"{stage} {key}".replace("_", " ")
-            values = [dig(run.summary, "timing", stage, key) for run in runs]
-            rows.append(Row(called, tuple(map(cell, values))))
-        values = [dig(run.summary, "timing", stage) for run in runs]
-        if not any(isinstance(value, dict) for value in values):
-            called = "cycles beyond their period" if stage == "misses" else stage.replace("_", " ")
-            rows.append(Row(called, tuple(map(cell, values))))
-    return table("Time", [run.name for run in runs], rows, corner="stage and figure")
-
-
-def other_table(runs: Sequence[Run]) -> Markup:
-    """Every other figure of the summaries."""
-    flat = [
-        _flat({key: value for key, value in run.summary.items() if key not in _TOLD} | run.extra)
-        for run in runs
-    ]
-    rows = []
-    for key in _ordered(flat):
-        values = [found.get(key) for found in flat]
-        family = key.split(".")[0]
-        cells = [
-            percent(value) if family in _SHARES and isinstance(value, int | float) else cell(value)
+def _families(runs: Sequence[Run], found: Sequence[Mapping[str, Any]]) -> Markup:
+    """One table for all keys of the same parent."""
+    flat = [_flat(one) for one in found]
+    families: dict[str, list[Row]] = {}
+    for key in dict.fromkeys(key for one in flat for key in one):
+        family, _, name = key.rpartition(".")
+        values = [one.get(key) for one in flat]
+        shares = family in _SHARES
+        cells = (
+            percent(value) if shares and isinstance(value, int | float) else cell(value)
             for value in values
-        ]
-        rows.append(Row(_called(key), tuple(cells)))
-    return table(
-        "Bounds, solver, cell", [run.name for run in runs], rows, corner="figure"
-    )  # fmt: skip
+        )
+        called = _CALLED.get(name, name.replace("_", " "))
+        families.setdefault(family, []).append(Row(called, tuple(cells)))
+    names = [run.name for run in runs]
+    made = (
+        table(_FAMILIES.get(family, family.replace("_", " ").replace(".", ": ")), names, rows)
+        for family, rows in families.items()
+    )
+    return element("div", *made, class_="tables")
 
 
 def configuration(runs: Sequence[Run]) -> Markup:
@@ -197,7 +192,7 @@ def configuration(runs: Sequence[Run]) -> Markup:
     if len(runs) > 1:
         keys = [
             key
-            for key in _ordered(flat)
+            for key in dict.fromkeys(key for one in flat for key in one)
             if len({repr(found.get(key)) for found in flat}) > 1 and key != "description"
         ]
         rows = [Row(key, tuple(cell(found.get(key)) for found in flat)) for key in keys]
@@ -271,11 +266,11 @@ def deadline_table(bench: DeadlineBench) -> Markup:
     return table("Whole cycles against the deadline", columns, rows, corner="row")
 
 
-def machine_table(machine: Mapping[str, Any]) -> Markup:
-    """What a measurement ran on."""
+def machine_table(name: str, machine: Mapping[str, Any]) -> Markup:
+    """What the measurement of this name ran on."""
     flat = _flat({key: value for key, value in machine.items() if key != "versions"})
     rows = [Row(key.replace("_", " "), (cell(value),)) for key, value in flat.items()]
-    return table("Machine", ["value"], rows, corner="fact")
+    return table(f"Machine, {name}", ["value"], rows, corner="fact")
 
 
 def dig(found: Any, *path: str) -> Any:
@@ -305,27 +300,6 @@ def _flat(found: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return result
 
 
-def _ordered(flat: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Keys of all, those of one parent beside each other."""
-    keys = list(dict.fromkeys(key for found in flat for key in found))
-    parents = list(dict.fromkeys(key.rpartition(".")[0] for key in keys))
-    where = {key: i for i, key in enumerate(keys)}
-    first = {parent: i for i, parent in enumerate(parents)}
-    grouped = {key: first[key.rpartition(".")[0]] if "." in key else -1 for key in keys}
-    return sorted(keys, key=lambda key: (grouped[key], where[key]))
-
-
-def _called(key: str) -> str:
-    if key in _CALLED:
-        return _CALLED[key]
-    family, _, rest = key.partition(".")
-    if family in _FAMILIES:
-        name, _, part = rest.partition(".")
-        text = f"{_FAMILIES[family]} {name}".replace("_", " ")
-        return f"{text}, {_PARTS.get(part, part)}" if part else text
-    return key.replace("_", " ").replace(".", ": ")
-
-
 def _configured(run: Run) -> dict[str, Any]:
     try:
         return _flat(tomllib.loads(run.config))
@@ -337,10 +311,11 @@ def _newton(value: Any) -> str:
     return newton(value) if isinstance(value, int | float) else NOTHING
 
 
-def _force_caption(paper: Any) -> str:
+def _source(paper: Any) -> str:
     source = dig(paper, "source")
-    told = f"; the paper is {source}, with real robots and another motion"
-    return f"Contact force error{told if isinstance(source, str) else ''}"
+    if not isinstance(source, str):
+        return ""
+    return f"The paper is {source}, with real robots and another motion."
 
 
 def _whole(value: Any) -> str:

@@ -87,8 +87,8 @@ class Timeline:
                 yield self._line(run, values, name, series(i))
 
     def _bounds(self, name: BoundName, axis: str) -> Iterable[Line]:
-        for side, label in enumerate(("lower bound", "upper bound")):
-            yield from self._common(_bound(name, axis, side), label, _BOUND, wave=False)
+        for side in (0, 1):
+            yield from self._common(_bound(name, axis, side), "bound", _BOUND, wave=False)
 
     # ---- figures
 

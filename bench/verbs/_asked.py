@@ -1,11 +1,13 @@
 """What verbs that run an experiment have in common."""
 
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
+from bench.report import write_report
 from qpmpc.controller import Compiled
-from scenarios import Scenario, load_scenario
+from scenarios import Scenario, ScenarioError, load_scenario
 
 FAILED = 1
 
@@ -40,6 +42,14 @@ def load(asked: Asked, *, compiled: Compiled | None = None, **top: str | None) -
         setpoint=asked.setpoint,
         settings=(*asked.set, *chosen),
     )
+
+
+def report(folder: Path) -> None:
+    """Write the report of results into their folder; they are worth more than it."""
+    try:
+        write_report([folder], folder / "report.html")
+    except ScenarioError as error:
+        print(f"pulsempc: no report: {error}", file=sys.stderr)
 
 
 def now() -> str:

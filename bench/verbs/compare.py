@@ -13,7 +13,7 @@ from bench.compare import compare
 from bench.figures import draw_comparison
 from bench.progress import Reporter, ctrl_c
 from bench.table import comparison_lines, comparison_tables
-from bench.verbs._asked import FAILED, load, now
+from bench.verbs._asked import FAILED, load, now, report
 from qpmpc.backends import backend_class
 from qpmpc.controller import Compiled
 from scenarios import Experiment, ScenarioError, summarise
@@ -89,6 +89,7 @@ class Compare:
             text = to_json(comparison.summary())
             (partial / "compare.json").write_text(text, encoding="utf-8")
             draw_comparison(comparison, partial / "comparison.png")
+        report(folder)
         if self.json:
             sys.stdout.write(text)
         else:

@@ -17,7 +17,7 @@ from bench.latency.session import run_session
 from bench.latency.table import latency_lines, latency_tables
 from bench.progress import Reporter, ctrl_c
 from bench.realtime import SystemClock
-from bench.verbs._asked import FAILED, load, now
+from bench.verbs._asked import FAILED, load, now, report
 from plant.errors import UnstableSimulationError
 from qpmpc.backends import available, backend_class
 from scenarios import Scenario, ScenarioError, ScenarioKeyError
@@ -114,6 +114,7 @@ class Latency:
         except UnstableSimulationError as error:
             print(f"pulsempc: {error}; nothing was written", file=sys.stderr)
             return FAILED
+        report(folder)
         if self.json:
             sys.stdout.write(text)
         else:

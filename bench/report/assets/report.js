@@ -154,7 +154,7 @@
 
   // ---- figures -------------------------------------------------------------------------------------
 
-  const TITLE = 22, GAP = 12, LEFT = 54, RIGHT = 14, BOTTOM = 44;
+  const LEFT = 54, RIGHT = 14;
   const PRINT_WIDTH = 680;
   const BAR = { good: 4, caution: 8, bad: 12 };
   const LEVELS = Object.keys(BAR);
@@ -200,7 +200,11 @@
       && (state.window[0] > state.whole[0] || state.window[1] < state.whole[1]);
     const hidden = state.hidden.get(figure.id) ?? new Set();
     const ink = colour("ink"), quiet = colour("quiet"), grid = colour("grid");
-    const height = figure.panels.reduce((sum, p) => sum + p.height + TITLE + GAP, 0) + BOTTOM;
+    const { title: TITLE, gap: GAP, ticks: TICKS, bottom: BOTTOM } = report.layout;
+    const above = (panel) => (panel.title ? TITLE : 0);
+    const below = (k) => (figure.shared || k === figure.panels.length - 1 ? GAP : GAP + TICKS);
+    const height = BOTTOM
+      + figure.panels.reduce((sum, p, k) => sum + above(p) + p.height + below(k), 0);
     const inner = height - BOTTOM;
     const data = [];
     const layout = {
@@ -213,42 +217,50 @@
       hoverlabel: { bgcolor: colour("page"), bordercolor: grid, font: { color: ink, size: 12 } },
       dragmode: coarse ? false : "zoom",
       annotations: [], shapes: [],
-      xaxis: {
-        title: { text: figure.x.title, standoff: 8 },
+    };
+    const abscissa = (last) => {
+      const axis = {
+        title: last ? { text: figure.x.title, standoff: 8 } : undefined,
         type: figure.x.log ? "log" : "linear",
         gridcolor: grid, zeroline: false, linecolor: quiet, ticks: "outside", tickcolor: quiet,
         ticklen: 4, hoverformat: figure.time ? ".3f" : ".4~g",
         nticks: Math.max(4, Math.floor(width / 90)),
         showspikes: figure.time, spikemode: "across", spikesnap: "cursor", spikethickness: 1,
         spikedash: "dot", spikecolor: quiet,
-      },
+      };
+      if (figure.time) axis.range = [...window];
+      else if (figure.x.range) axis.range = figure.x.range.map(Math.log10);
+      else if (figure.x.log) axis.dtick = 1;
+      const ticks = Object.entries(figure.x.ticks);
+      if (ticks.length) {
+        const room = Math.floor((width - LEFT - RIGHT) / 52);
+        const shown = ticks.length <= room ? ticks : ticks.filter((_, i) => i % 2 === 1);
+        Object.assign(axis, {
+          tickmode: "array", tickvals: shown.map(([, at]) => at), ticktext: shown.map(([t]) => t),
+        });
+      }
+      return axis;
     };
-    if (figure.time) layout.xaxis.range = [...window];
-    else if (figure.x.range) layout.xaxis.range = figure.x.range.map(Math.log10);
-    else if (figure.x.log) layout.xaxis.dtick = 1;
-    const ticks = Object.entries(figure.x.ticks);
-    if (ticks.length) {
-      const room = Math.floor((width - LEFT - RIGHT) / 52);
-      const shown = ticks.length <= room ? ticks : ticks.filter((_, i) => i % 2 === 1);
-      Object.assign(layout.xaxis, {
-        tickmode: "array", tickvals: shown.map(([, at]) => at), ticktext: shown.map(([t]) => t),
-      });
-    }
     let top = height - BOTTOM;
     figure.panels.forEach((panel, k) => {
       const suffix = k ? String(k + 1) : "";
-      const ceiling = top - TITLE;
+      const ceiling = top - above(panel);
       const floor = ceiling - panel.height;
-      top = floor - GAP;
+      top = floor - below(k);
+      const last = k === figure.panels.length - 1;
+      const x = figure.shared ? "x" : `x${suffix}`;
+      if (last || !figure.shared) {
+        const name = figure.shared ? "xaxis" : `xaxis${suffix}`;
+        layout[name] = { ...abscissa(last), anchor: `y${suffix}` };
+      }
       const axis = {
         domain: [Math.max(0, floor / inner), ceiling / inner],
-        anchor: "x", gridcolor: grid, zeroline: false, fixedrange: figure.time,
+        anchor: x, gridcolor: grid, zeroline: false, fixedrange: figure.time,
         tickfont: { size: 11 }, automargin: false, hoverformat: ".4~g",
       };
       layout[`yaxis${suffix}`] = axis;
       let title = panel.title;
       if (panel.bands.length) {
-        title = "";
         bands(panel, `y${suffix}`, axis, { data, layout, window, buckets, floor, inner });
       } else {
         const shown = [];
@@ -261,7 +273,7 @@
           else points = corners(line, y, window);
           shown.push({ line, y: points[1] });
           data.push({
-            type: "scatter", mode: "lines", x: points[0], y: points[1], xaxis: "x",
+            type: "scatter", mode: "lines", x: points[0], y: points[1], xaxis: x,
             yaxis: `y${suffix}`, name: plain(line.name), connectgaps: false,
             line: {
               color: colour(line.style.colour), width: line.style.width, dash: line.style.dash, shape: line.shape,
@@ -276,14 +288,14 @@
         if (state.fit || !heldRanges.has(id)) heldRanges.set(id, fitted);
         const { range: limits, outside } = heldRanges.get(id);
         axis.range = [...limits];
-        if (outside) title += " · bounds outside the view";
+        if (outside) title += " · a bound is outside the view";
         if (panel.log) {
           axis.type = "log";
           axis.exponentformat = "power";
           const decades = limits[1] - limits[0];
           axis.dtick = decades > 1.3 ? Math.max(1, Math.ceil((decades * 26) / panel.height)) : "D2";
         } else {
-          axis.nticks = Math.max(3, Math.floor(panel.height / 28));
+          axis.nticks = Math.max(4, Math.floor(panel.height / 24));
         }
         if (panel.limit !== null) limitLine(panel, `y${suffix}`, layout);
       }
@@ -295,7 +307,6 @@
         });
       }
     });
-    layout.xaxis.anchor = figure.panels.length > 1 ? `y${figure.panels.length}` : "y";
     return { data, layout, config: {
       displayModeBar: false, doubleClick: figure.time ? false : "reset", responsive: false,
       scrollZoom: false, showTips: false,
@@ -318,13 +329,13 @@
   function bands(panel, yref, axis, { data, layout, window, buckets, floor, inner }) {
     const rows = panel.bands.length;
     Object.assign(axis, {
-      range: [rows - 0.5, -0.5], showgrid: false, showticklabels: false, fixedrange: true,
+      range: [rows - 0.75, -0.75], showgrid: false, showticklabels: false, fixedrange: true,
     });
     panel.bands.forEach((band, row) => {
       const mask = report.columns[band.mask];
       layout.annotations.push({
         xref: "paper", x: 0, xanchor: "left", yref: "paper", yanchor: "bottom", showarrow: false,
-        y: (floor + panel.height * (1 - (row + 0.5) / rows) + 5) / inner, text: plain(band.label),
+        y: (floor + panel.height * (1 - (row + 0.75) / rows) + 5) / inner, text: plain(band.label),
         font: { size: 12, color: colour("ink") },
       });
       const ordered = [...band.states].sort(
@@ -486,9 +497,12 @@
     }
     const states = new Map();
     for (const panel of figure.panels) for (const band of panel.bands) for (const one of band.states) {
-      states.set(`${one.name} ${one.colour}`, one);
+      // what is as it should be needs no name of its own
+      const name = one.level === "good" ? "as it should be" : one.name;
+      states.set(`${name} ${one.colour}`, { ...one, name });
     }
-    for (const one of states.values()) {
+    const worse = (a, b) => LEVELS.indexOf(a.level) - LEVELS.indexOf(b.level);
+    for (const one of [...states.values()].sort(worse)) {
       const item = document.createElement("span");
       item.append(swatch(one.colour, "", BAR[one.level]), one.name);
       place.append(item);
