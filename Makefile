@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test test-hostile test-live test-peers bench-peers docs lint format setup clean help
+.PHONY: demo test test-browser test-hostile test-live test-peers bench-peers docs lint format setup clean help
 
 help:  ## list the verbs
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -15,6 +15,9 @@ demo: $(VENV)/.installed  ## set up and run the paper's experiment
 
 test: $(VENV)/.installed-dev  ## set up and run the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+test-browser: $(VENV)/.installed-browser  ## the report in headless Chromium (CHROMIUM=path; .ci/chromium gets one)
+	$(BIN)/python -m pytest -m browser -rPs tests/bench/browser
 
 test-hostile: $(VENV)/.installed-dev  ## 13,000 hostile command sequences against the protection
 	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py tests/plant/test_redundant.py
@@ -45,7 +48,7 @@ format: $(VENV)/.installed-dev  ## put the code into its form
 setup: $(VENV)/.installed-dev  ## set up for development
 
 clean:  ## remove the environment and caches, keep results
-	rm -rf $(VENV) .peers .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .browser .peers .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -63,3 +66,7 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.installed-docs: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --no-binary pulsempc -e '.[docs]'
 	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-browser: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --no-binary pulsempc -e '.[dev,browser]'
+	@touch $@ $(VENV)/.installed-dev $(VENV)/.installed
