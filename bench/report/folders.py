@@ -59,6 +59,8 @@ def _read_comparison(folder: Path, prefix: str) -> tuple[list[Run], list[str]]:
         runs.append(own)
     if not rows:
         raise ReportError(path, "has no rows")
+    if not runs:
+        raise ReportError(folder, f"no run in it: {'; '.join(notes)}")
     return runs, notes
 
 

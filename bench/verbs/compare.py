@@ -89,7 +89,8 @@ class Compare:
             text = to_json(comparison.summary())
             (partial / "compare.json").write_text(text, encoding="utf-8")
             draw_comparison(comparison, partial / "comparison.png")
-        report(folder)
+        if any(comparison.experiments):
+            report(folder)
         if self.json:
             sys.stdout.write(text)
         else:

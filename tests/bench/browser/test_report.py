@@ -32,7 +32,9 @@ def report(results):
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("which", ["run", "compare", "latency", "deadline"])
-def test_every_report_opens_without_a_complaint_and_fits(which, width, results, visit, shot, all_drawn):
+def test_every_report_opens_without_a_complaint_and_fits(
+    which, width, results, visit, shot, all_drawn
+):
     page = visit(results / which / "report.html", width=width)
     all_drawn(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
