@@ -33,7 +33,7 @@ def report(results):
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("which", ["run", "compare", "latency", "deadline"])
 def test_every_report_opens_without_a_complaint_and_fits(
-    which, width, results, visit, shot, all_drawn
+    which, width, results, visit, *, shot, all_drawn
 ):
     page = visit(results / which / "report.html", width=width)
     all_drawn(page)
@@ -176,7 +176,7 @@ def test_a_line_is_hidden_and_shown_from_the_legend(report, visit):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("which", ["run", "compare", "latency", "deadline"])
-def test_axe_finds_nothing_serious(which, scheme, results, visit, axe, all_drawn):
+def test_axe_finds_nothing_serious(which, scheme, results, visit, *, axe, all_drawn):
     page = visit(results / which / "report.html", color_scheme=scheme, reduced_motion="reduce")
     all_drawn(page)
     assert axe.check(page) == []
