@@ -14,6 +14,8 @@ from scenarios.schedule import BoundName
 
 _AROUND = 0.25
 """Time shown to either side of an instant [s]."""
+_SHOWN = 8
+"""Instants that are shown at once."""
 _WATCHED: tuple[tuple[BoundName, str], ...] = (("force", "force"), ("velocity", "tool_velocity"))
 """Bounds whose worst violation is an instant to look at, and the columns that they bound."""
 
@@ -74,7 +76,11 @@ def events(runs: Sequence[Run]) -> Markup | None:
             items.append(element("li", button))
     if not items:
         return None
-    return element("ul", *items, class_="events", aria_label="Instants worth a look")
+    title = "Instants worth a look"
+    found = element("ul", *items, class_="events", aria_label=title)
+    if len(items) <= _SHOWN:
+        return found
+    return element("details", element("summary", f"{title}: {len(items)}"), found)
 
 
 def notes(run: Run) -> list[str]:
@@ -105,7 +111,9 @@ def _events(run: Run) -> Iterator[Event]:
         axis = max(largest, key=lambda axis: float(largest[axis].max()))
         cycle = int(largest[axis].argmax())
         yield Event(f"largest force error, {axis}", _instant(run, cycle), "error")
-    for name, column in _WATCHED:
+    for name, column in _SHOWN = 8
+"""Instants that are shown at once."""
+_WATCHED:
         worst = _worst(run, name, column)
         if worst is not None:
             axis, cycle, beyond = worst

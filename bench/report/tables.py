@@ -315,7 +315,7 @@ def _source(paper: Any) -> str:
     source = dig(paper, "source")
     if not isinstance(source, str):
         return ""
-    return f"The paper is {source}, with real robots and another motion."
+    return f"The paper: {source}, with real robots and another motion."
 
 
 def _whole(value: Any) -> str:

@@ -288,7 +288,7 @@
         if (state.fit || !heldRanges.has(id)) heldRanges.set(id, fitted);
         const { range: limits, outside } = heldRanges.get(id);
         axis.range = [...limits];
-        if (outside) title += " · a bound is outside the view";
+        if (outside) title += " · bound out of view";
         if (panel.log) {
           axis.type = "log";
           axis.exponentformat = "power";
