@@ -111,9 +111,7 @@ def _events(run: Run) -> Iterator[Event]:
         axis = max(largest, key=lambda axis: float(largest[axis].max()))
         cycle = int(largest[axis].argmax())
         yield Event(f"largest force error, {axis}", _instant(run, cycle), "error")
-    for name, column in _SHOWN = 8
-"""Instants that are shown at once."""
-_WATCHED:
+    for name, column in _WATCHED:
         worst = _worst(run, name, column)
         if worst is not None:
             axis, cycle, beyond = worst
