@@ -124,12 +124,12 @@ class Bands:
                 at, gave, passed = (float((mask >> bit & 1).mean()) for bit in (1, 2, 3))
                 label = name.replace("_", " ")
                 bands.append(self._band(run, label, mask, _ACTIVITY))
-                text = f"{label}: given way by the plan in {percent(gave)} of the cycles"
+                text = f"{label}: the plan gave way in {percent(gave)} of the cycles"
                 if gave:
                     text += f", by {figure_of(worst)} {UNITS.get(name, '')} at most".rstrip()
                 if name in _BOUNDED:
-                    text += f"; within 1 % of its bound in {percent(at)}, passed in "
-                    text += percent(passed)
+                    text += f"; really within 1 % of the bound in {percent(at)}"
+                    text += f", beyond it in {percent(passed)}"
                 caption.append(named(self._names, run.name, f"{text}."))
             panels += _panel(bands)
         return tuple(panels), tuple(caption)
