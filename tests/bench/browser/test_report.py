@@ -262,3 +262,22 @@ def test_a_figure_is_saved(report, visit):
     with page.expect_download() as started:
         page.locator("#save-force").click()
     assert started.value.suggested_filename == "force.svg"
+
+
+def test_a_finger_scrolls_over_a_figure_and_does_not_zoom(report, visit, all_drawn):
+    page = visit(report, width=390, height=844, has_touch=True, is_mobile=True)
+    all_drawn(page)
+    before = time_range(page, "error")
+    page.evaluate("document.getElementById('plot-error').scrollIntoView({block: 'center'})")
+    page.wait_for_timeout(500)
+    box, top = page.locator("#plot-error").bounding_box(), page.evaluate("scrollY")
+    touch, x, y = page.context.new_cdp_session(page), box["x"] + 150, box["y"] + 400
+    send = "Input.dispatchTouchEvent"
+    touch.send(send, {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+    for k in range(1, 16):
+        touch.send(send, {"type": "touchMove", "touchPoints": [{"x": x, "y": y - 20 * k}]})
+        page.wait_for_timeout(16)
+    touch.send(send, {"type": "touchEnd", "touchPoints": []})
+    page.wait_for_timeout(500)
+    assert page.evaluate("scrollY") > top + 100
+    assert time_range(page, "error") == before
