@@ -1,0 +1,158 @@
+"""What is drawn over the views: arrows of force, the tissue's way, letters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from scenarios.film.camera import Camera
+from scenarios.film.canvas import ALARM, FAINT, FORCE, INK, SETPOINT, Canvas, Colour, arrow
+from scenarios.film.layout import Box
+from scenarios.film.meshes import Array
+from scenarios.film.record import Record
+
+_SHOWN = 0.05
+"""Force below which there is no arrow [N]."""
+_TRAIL, _AHEAD = 1.0, 1.0
+"""How much of the tissue's way is drawn, behind and ahead [s]."""
+_SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """A force at the contact, in the world."""
+
+    start: Array
+    """``(3,)`` [m]"""
+    end: Array
+    """``(3,)`` [m]"""
+
+
+def force_arrow(at: Array, force: Array, scale: float) -> Arrow | None:
+    """Return the arrow of a force that the tool exerts, or None where there is next to none.
+
+    Args:
+        at: where it acts, ``(3,)`` [m].
+        force: ``(3,)`` [N].
+        scale: length by force [m/N].
+    """
+    if not np.linalg.norm(force) > _SHOWN:  # nor where it is not known
+        return None
+    return Arrow(at, at + scale * force)
+
+
+def arrow_scale(record: Record, height: float) -> float:
+    """Length by force [m/N] with which a usual force of the run takes a height [m]."""
+    sizes = np.linalg.norm(record.force, axis=1)
+    usual = float(np.percentile(sizes[np.isfinite(sizes)], 90)) if len(sizes) else 0.0
+    return height / max(usual, 1.0)
+
+
+class Overlay:
+    """Draws over one view."""
+
+    def __init__(self, record: Record, camera: Camera, box: Box, unit: float, scale: float) -> None:
+        """Prepare.
+
+        Args:
+            record: of the run.
+            camera: of the view.
+            box: of the view; its size counts.
+            unit: see `scenarios.film.layout.Layout`.
+            scale: of the arrows [m/N].
+        """
+        self._record, self._camera, self._box = record, camera, box
+        self._unit, self._scale = unit, scale
+
+    def main(self, time: float, tip: Array, speed: float) -> Image.Image:
+        """Over the view of both arms: arrows, name, time, what happened, what arrows mean."""
+        u, record = self._unit, self._record
+        canvas = Canvas(self._box.width, self._box.height)
+        self._arrows(canvas, time, tip, 6.0 * u)
+        edge = 24.0 * u
+        canvas.text(
+            edge, edge, record.name, 21.0 * u, INK, bold=True, room=self._box.width - 2 * edge
+        )
+        clock = f"{time:.2f} s"
+        canvas.text(edge, edge + 32.0 * u, clock, 15.0 * u, INK)
+        if speed != 1.0:
+            x = edge + canvas.measure(clock, 15.0 * u) + 14.0 * u
+            canvas.text(x, edge + 32.0 * u, f"× {speed:g}", 15.0 * u, FAINT)
+        y = edge + 62.0 * u
+        if record.trip is not None and time >= record.trip[1]:
+            cause, when = record.trip
+            canvas.pill(edge, y, f"tripped: {cause} at {when:.3f} s", 13.0 * u, ALARM)
+        elif not record.touching[record.cycle(time)]:
+            canvas.pill(edge, y, "no contact", 13.0 * u, (70, 82, 96))
+        self._legend(canvas, tip)
+        return canvas.finished()
+
+    def close(self, time: float, tip: Array) -> Image.Image:
+        """Over the view of the contact: the tissue's way, arrows, a scale."""
+        u = self._unit
+        canvas = Canvas(self._box.width, self._box.height)
+        self._way(canvas, time)
+        self._arrows(canvas, time, tip, 6.5 * u)
+        y = self._box.height - 18.0 * u
+        length = self._pixels(tip, np.array([0.01 / self._scale, 0.0, 0.0]))
+        x = self._box.width - 20.0 * u
+        _bar(canvas, x - length, x, y, u, "10 mm")
+        canvas.text(16.0 * u, y, "way of the tissue", 11.5 * u, INK, anchor="lm")
+        return canvas.finished()
+
+    def _arrows(self, canvas: Canvas, time: float, tip: Array, width: float) -> None:
+        k = self._record.cycle(time)
+        force, wish = self._record.force[k], self._record.setpoint[k]
+        wish = np.where(np.isfinite(wish), wish, force)
+        for value, colour, breadth in ((wish, SETPOINT, 1.9 * width), (force, FORCE, width)):
+            found = force_arrow(tip, value, self._scale)
+            if found is None:
+                continue
+            start, end = self._project(np.stack([found.start, found.end]))
+            if colour == SETPOINT:  # a rim around the force that is there
+                canvas.polygon(arrow(start, end, breadth), (*colour[:3], 120), colour)
+            else:
+                canvas.polygon(arrow(start, end, breadth), colour, (12, 40, 60))
+
+    def _way(self, canvas: Canvas, time: float) -> None:
+        record = self._record
+        now = record.cycle(time)
+        rows = np.arange(record.cycle(time - _TRAIL), record.cycle(time + _AHEAD) + 1)
+        rows = rows[:: max(1, len(rows) // 240)]
+        places = self._project(record.tissue[rows])
+        ages = (record.time[rows] - record.time[now]) / _TRAIL
+        for i in range(len(rows) - 1):
+            share = 1.0 + ages[i] if ages[i] <= 0 else 0.28 * (1.0 - ages[i])
+            colour: Colour = (255, 255, 255, round(225 * max(0.0, min(1.0, share))))
+            canvas.line(places[i : i + 2], colour, 1.8 * self._unit)
+        canvas.disc(self._project(record.tissue[now]), 3.2 * self._unit, (255, 255, 255))
+
+    def _legend(self, canvas: Canvas, tip: Array) -> None:
+        u = self._unit
+        x, y = 24.0 * u, self._box.height - 26.0 * u
+        for name, colour in (("force on the tissue", FORCE), ("setpoint", SETPOINT)):
+            mark = arrow(np.array([x, y]), np.array([x + 24.0 * u, y]), 4.5 * u)
+            canvas.polygon(mark, colour)
+            canvas.text(x + 32.0 * u, y, name, 12.5 * u, INK, anchor="lm")
+            x += 32.0 * u + canvas.measure(name, 12.5 * u) + 24.0 * u
+        room = 0.16 * self._box.width
+        one = self._pixels(tip, np.array([0.0, 0.0, 1.0]))
+        newtons = max((s for s in _SCALES if s * one <= room), default=_SCALES[0])
+        _bar(canvas, x, x + newtons * one, y, u, f"{newtons:g} N")
+
+    def _pixels(self, at: Array, force: Array) -> float:
+        """How long the arrow of a force would be at a place, seen from the side [pixels]."""
+        depth = float((at - self._camera.position) @ self._camera.forward)
+        opening = 2.0 * np.tan(np.deg2rad(self._camera.opening) / 2.0)
+        return float(np.linalg.norm(force)) * self._scale * self._box.height / (opening * depth)
+
+    def _project(self, points: Array) -> Array:
+        return self._camera.project(points, self._box.width, self._box.height)
+
+
+def _bar(canvas: Canvas, left: float, right: float, y: float, u: float, name: str) -> None:
+    """A scale: a bar with ends, its length above."""
+    canvas.line(np.array([[left, y], [right, y]]), INK, 1.6 * u)
+    for x in (left, right):
+        canvas.line(np.array([[x, y - 4.0 * u], [x, y + 4.0 * u]]), INK, 1.6 * u)
+    canvas.text((left + right) / 2.0, y - 6.0 * u, name, 11.5 * u, INK, anchor="mb")
