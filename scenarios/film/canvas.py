@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from scenarios.film.meshes import Array
+from scenarios.scene.meshes import Array
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
 _FINER = 2
@@ -49,9 +49,13 @@ class Canvas:
         for i in range(0, len(steps) - 1, 2):
             self.line(steps[i : i + 2], colour, width)
 
-    def polygon(self, points: Array, colour: Colour, outline: Colour | None = None) -> None:
+    def polygon(self, points: Array, colour: Colour) -> None:
         """Fill a polygon with corners ``(n, 2)``."""
-        self._draw.polygon(_flat(points), fill=colour, outline=outline, width=_FINER)
+        self._draw.polygon(_flat(points), fill=colour)
+
+    def rim(self, points: Array, colour: Colour, width: float) -> None:
+        """Draw the edge of a polygon with corners ``(n, 2)``."""
+        self.line(np.concatenate([points, points[:2]]), colour, width)
 
     def disc(self, centre: Array, radius: float, colour: Colour) -> None:
         """Fill a circle."""
@@ -91,6 +95,14 @@ class Canvas:
     def finished(self) -> Image.Image:
         """Return what was drawn, in its final size; RGBA."""
         return self._image.convert("RGBa").reduce(_FINER).convert("RGBA")
+
+
+def mixed(colour: Colour, ground: Colour, share: float) -> Colour:
+    """Return what a colour looks like that covers a share of its ground."""
+    r, g, b = (
+        round(share * c + (1.0 - share) * d) for c, d in zip(colour[:3], ground[:3], strict=True)
+    )
+    return r, g, b
 
 
 def plain(text: str) -> str:

@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from fractions import Fraction
 from pathlib import Path
@@ -58,7 +58,7 @@ def film_file(out: Path, fps: float, width: int, height: int) -> Iterator[Writer
         raise ScenarioError(f"{out}: exists; give another --out")
     if not out.parent.is_dir():
         raise ScenarioError(f"{out.parent}: no such folder; give another --out")
-    make = {".mp4": _Mp4, ".gif": _Gif, ".png": _Png}[out.suffix.lower()]
+    make = _WRITERS[out.suffix.lower()]
     partial: Path | None = None
     try:
         handle, name = tempfile.mkstemp(
@@ -165,6 +165,13 @@ class _Png:
 
     def abandon(self) -> None:
         """Let go of the picture."""
+
+
+_WRITERS: Mapping[str, Callable[[Path, float, int, int], Writer]] = {
+    ".mp4": _Mp4,
+    ".gif": _Gif,
+    ".png": _Png,
+}
 
 
 def durations(frames: int, fps: float) -> Sequence[int]:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import ScenarioError
-from scenarios.film.camera import Camera
-from scenarios.film.scene import Scene
+from scenarios.scene.camera import Camera
+from scenarios.scene.scene import Scene
 
 _KINDS = ("egl", "osmesa")
 _TRIAL = (
@@ -110,7 +110,7 @@ class Offscreen:
             shadow_reach: how far around the middle of the cell things cast a shadow; the less,
                 the finer its edge [m].
         """
-        place(self._camera, camera)
+        camera.place(self._camera)
         self._context.shadowClip = shadow_reach
         mujoco.mjv_updateScene(
             self._scene.model, self._scene.data, self._option, self._nothing, self._camera,
@@ -121,14 +121,6 @@ class Offscreen:
         pixels = np.empty((height, width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, frame, self._context)
         return pixels[::-1]
-
-
-def place(theirs: Any, camera: Camera) -> None:
-    """Put a ``mujoco.MjvCamera`` where ours is."""
-    theirs.type = mujoco.mjtCamera.mjCAMERA_FREE
-    theirs.azimuth, theirs.elevation = camera.view.azimuth, camera.view.elevation
-    theirs.distance = 1.0
-    theirs.lookat[:] = camera.position + camera.forward
 
 
 def _context(kind: str, width: int, height: int) -> Any:

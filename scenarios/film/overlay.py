@@ -1,44 +1,18 @@
 """What is drawn over the views: arrows of force, the tissue's way, letters."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from PIL import Image
 
-from scenarios.film.camera import Camera
 from scenarios.film.canvas import ALARM, FAINT, FORCE, INK, SETPOINT, Canvas, Colour, arrow
 from scenarios.film.layout import Box
-from scenarios.film.meshes import Array
 from scenarios.film.record import Record
+from scenarios.scene.arrows import force_arrow
+from scenarios.scene.camera import Camera
+from scenarios.scene.meshes import Array
 
-_SHOWN = 0.05
-"""Force below which there is no arrow [N]."""
 _TRAIL, _AHEAD = 1.0, 1.0
 """How much of the tissue's way is drawn, behind and ahead [s]."""
 _SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-
-
-@dataclass(frozen=True)
-class Arrow:
-    """A force at the contact, in the world."""
-
-    start: Array
-    """``(3,)`` [m]"""
-    end: Array
-    """``(3,)`` [m]"""
-
-
-def force_arrow(at: Array, force: Array, scale: float) -> Arrow | None:
-    """Return the arrow of a force that the tool exerts, or None where there is next to none.
-
-    Args:
-        at: where it acts, ``(3,)`` [m].
-        force: ``(3,)`` [N].
-        scale: length by force [m/N].
-    """
-    if not np.linalg.norm(force) > _SHOWN:  # nor where it is not known
-        return None
-    return Arrow(at, at + scale * force)
 
 
 def arrow_scale(record: Record, height: float) -> float:
@@ -77,11 +51,11 @@ class Overlay:
         canvas.text(edge, edge + 32.0 * u, clock, 15.0 * u, INK)
         if speed != 1.0:
             x = edge + canvas.measure(clock, 15.0 * u) + 14.0 * u
-            canvas.text(x, edge + 32.0 * u, f"× {speed:g}", 15.0 * u, FAINT)
+            canvas.text(x, edge + 32.0 * u, f"speed {speed:g}", 15.0 * u, FAINT)
         y = edge + 62.0 * u
         if record.trip is not None and time >= record.trip[1]:
             cause, when = record.trip
-            canvas.pill(edge, y, f"tripped: {cause} at {when:.3f} s", 13.0 * u, ALARM)
+            canvas.pill(edge, y, f"tripped on {cause} at {when:.3f} s", 13.0 * u, ALARM)
         elif not record.touching[record.cycle(time)]:
             canvas.pill(edge, y, "no contact", 13.0 * u, (70, 82, 96))
         self._legend(canvas, tip)
@@ -96,23 +70,27 @@ class Overlay:
         y = self._box.height - 18.0 * u
         length = self._pixels(tip, np.array([0.01 / self._scale, 0.0, 0.0]))
         x = self._box.width - 20.0 * u
-        _bar(canvas, x - length, x, y, u, "10 mm")
-        canvas.text(16.0 * u, y, "way of the tissue", 11.5 * u, INK, anchor="lm")
+        _bar(canvas, (x - length, x), y, u, "10 mm")
+        x, y = 16.0 * u, 20.0 * u
+        canvas.line(np.array([[x, y], [x + 18.0 * u, y]]), (255, 255, 255), 2.0 * u)
+        canvas.text(x + 24.0 * u, y, "motion of the tissue", 11.5 * u, INK, anchor="lm")
         return canvas.finished()
 
     def _arrows(self, canvas: Canvas, time: float, tip: Array, width: float) -> None:
         k = self._record.cycle(time)
         force, wish = self._record.force[k], self._record.setpoint[k]
         wish = np.where(np.isfinite(wish), wish, force)
-        for value, colour, breadth in ((wish, SETPOINT, 1.9 * width), (force, FORCE, width)):
+        tripped = self._record.trip is not None and time >= self._record.trip[1]
+        for value, colour in ((wish, SETPOINT), (force, FORCE))[tripped:]:
             found = force_arrow(tip, value, self._scale)
             if found is None:
                 continue
             start, end = self._project(np.stack([found.start, found.end]))
-            if colour == SETPOINT:  # a rim around the force that is there
-                canvas.polygon(arrow(start, end, breadth), (*colour[:3], 120), colour)
+            corners = arrow(start, end, width)
+            if colour == SETPOINT:  # a rim around the force where the two are the same
+                canvas.rim(corners, colour, 0.65 * width)
             else:
-                canvas.polygon(arrow(start, end, breadth), colour, (12, 40, 60))
+                canvas.polygon(corners, colour)
 
     def _way(self, canvas: Canvas, time: float) -> None:
         record = self._record
@@ -132,26 +110,31 @@ class Overlay:
         x, y = 24.0 * u, self._box.height - 26.0 * u
         for name, colour in (("force on the tissue", FORCE), ("setpoint", SETPOINT)):
             mark = arrow(np.array([x, y]), np.array([x + 24.0 * u, y]), 4.5 * u)
-            canvas.polygon(mark, colour)
+            if colour == SETPOINT:
+                canvas.rim(mark, colour, 2.0 * u)
+            else:
+                canvas.polygon(mark, colour)
             canvas.text(x + 32.0 * u, y, name, 12.5 * u, INK, anchor="lm")
             x += 32.0 * u + canvas.measure(name, 12.5 * u) + 24.0 * u
         room = 0.16 * self._box.width
         one = self._pixels(tip, np.array([0.0, 0.0, 1.0]))
         newtons = max((s for s in _SCALES if s * one <= room), default=_SCALES[0])
-        _bar(canvas, x, x + newtons * one, y, u, f"{newtons:g} N")
+        _bar(canvas, (x, x + newtons * one), y, u, f"{newtons:g} N")
 
     def _pixels(self, at: Array, force: Array) -> float:
         """How long the arrow of a force would be at a place, seen from the side [pixels]."""
         depth = float((at - self._camera.position) @ self._camera.forward)
         opening = 2.0 * np.tan(np.deg2rad(self._camera.opening) / 2.0)
-        return float(np.linalg.norm(force)) * self._scale * self._box.height / (opening * depth)
+        length = float(np.linalg.norm(force)) * self._scale
+        return length * self._box.height / (float(opening) * depth)
 
     def _project(self, points: Array) -> Array:
         return self._camera.project(points, self._box.width, self._box.height)
 
 
-def _bar(canvas: Canvas, left: float, right: float, y: float, u: float, name: str) -> None:
+def _bar(canvas: Canvas, span: tuple[float, float], y: float, u: float, name: str) -> None:
     """A scale: a bar with ends, its length above."""
+    left, right = span
     canvas.line(np.array([[left, y], [right, y]]), INK, 1.6 * u)
     for x in (left, right):
         canvas.line(np.array([[x, y - 4.0 * u], [x, y + 4.0 * u]]), INK, 1.6 * u)

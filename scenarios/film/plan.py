@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from scenarios.errors import ScenarioError, nearest
-from scenarios.film.camera import VIEWS
-from scenarios.film.meshes import Array
+from scenarios.scene.camera import VIEWS
+from scenarios.scene.meshes import Array
 
 KINDS = (".mp4", ".gif", ".png")
 _LEAST, _MOST = (480, 320), (3840, 2160)
@@ -87,9 +87,8 @@ def plan_film(wish: Wish, start: float, end: float) -> Plan:
             f"{frames:.0f} frames are more than the {longest} that a {kind} may have: take a "
             "higher --speed, a lower --fps, or a part with --from and --to"
         )
-    return Plan(
-        kind, width, height, camera, fps, speed, first + speed / fps * np.arange(int(frames))
-    )
+    instants: Array = first + speed / fps * np.arange(int(frames), dtype=np.float64)
+    return Plan(kind, width, height, camera, fps, speed, instants)
 
 
 def _still(wish: Wish, start: float, end: float) -> float:

@@ -1,6 +1,7 @@
 """The forces beside the view: a window of time that moves along with the run."""
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from scenarios.film.canvas import (
@@ -13,17 +14,20 @@ from scenarios.film.canvas import (
     SETPOINT,
     Canvas,
     Colour,
+    mixed,
 )
 from scenarios.film.layout import Box
-from scenarios.film.meshes import Array
 from scenarios.film.record import Record
+from scenarios.scene.meshes import Array
 
 _WINDOW = 6.0
 """Longest time that is shown at once [s]."""
 _CURSOR = 0.72
 """Where in the window the present is, away from both ends of the run."""
+_COMING = mixed(FORCE, PANEL, 0.45)
 _DETAIL = 1.5
 """Points of a curve for each pixel across."""
+MINUS = "\N{MINUS SIGN}"
 _STEPS = (1.0, 2.0, 5.0)
 
 
@@ -40,9 +44,8 @@ class ForcePlots:
             first, last: of the film [s].
         """
         self._record, self._box, self._unit = record, box, unit
-        whole = record.end - record.start
-        self._window = min(_WINDOW, whole, max(1.0, last - first))
-        part = slice(record.cycle(first), record.cycle(last) + 1)
+        self._window = min(_WINDOW, record.end - record.start)
+        part = slice(record.cycle(first - self._window), record.cycle(last + self._window) + 1)
         self._ranges = {axis: _range(record, axis, part) for axis in record.axes}
 
     def draw(self, time: float) -> Image.Image:
@@ -72,21 +75,21 @@ class ForcePlots:
         letters = 13.0 * u
         line = top - 16.0 * u
         canvas.text(left, line, f"force {'xyz'[axis]}", letters, INK, anchor="lm", bold=True)
+        canvas.text(right, line, signed(force), letters, FORCE, anchor="rm", bold=True)
         canvas.text(
-            right, line, f"{force:+.2f} N", letters, FORCE, anchor="rm", bold=True
-        )
-        canvas.text(
-            right - 84.0 * u, line, f"error {force - wish:+.2f} N", letters, FAINT, anchor="rm"
+            right - 84.0 * u, line, f"error {signed(force - wish)}", letters, FAINT, anchor="rm"
         )
         for value in _ticks(low, high, 4):
             y = bottom - (value - low) / (high - low) * (bottom - top)
             canvas.line(np.array([[left, y], [right, y]]), RULE, 1.0 * u)
-            canvas.text(left - 7.0 * u, y, f"{value:g}", 11.0 * u, FAINT, anchor="rm")
+            canvas.text(
+                left - 7.0 * u, y, f"{value:g}".replace("-", MINUS), 11.0 * u, FAINT, anchor="rm"
+            )
         first, last = record.cycle(begin), record.cycle(begin + self._window)
         stride = max(1, int((last - first) / (_DETAIL * (right - left))))
         rows = np.arange(-(-first // stride) * stride, last + 1, stride)
 
-        def points(values: Array, rows: Array) -> Array:
+        def points(values: Array, rows: NDArray[np.integer]) -> Array:
             x = left + (record.time[rows] - begin) / self._window * (right - left)
             y = bottom - (values[rows] - low) / (high - low) * (bottom - top)
             return np.column_stack([x, np.clip(y, top, bottom)])
@@ -96,22 +99,18 @@ class ForcePlots:
             canvas.line(points(values, shown), colour, width)
 
         curve(record.held[:, axis], HELD, 1.0 * u)
-        canvas.dashes(
-            points(record.setpoint[:, axis], rows), SETPOINT, 1.5 * u, 5.0 * u
-        )
-        past = rows[rows <= now]
-        canvas.line(points(record.force[:, axis], rows[rows >= now]), (*FORCE[:3], 90), 1.4 * u)
-        canvas.line(points(record.force[:, axis], past), FORCE, 2.0 * u)
+        canvas.line(points(record.force[:, axis], rows[rows >= now]), _COMING, 2.0 * u)
+        canvas.line(points(record.force[:, axis], rows[rows <= now]), FORCE, 2.4 * u)
+        canvas.dashes(points(record.setpoint[:, axis], rows), SETPOINT, 1.0 * u, 6.0 * u)
         x = left + (time - begin) / self._window * (right - left)
-        canvas.line(np.array([[x, top], [x, bottom]]), (*INK[:3], 150), 1.0 * u)
+        canvas.line(np.array([[x, top], [x, bottom]]), FAINT, 1.0 * u)
         canvas.disc(points(record.force[:, axis], np.array([now]))[0], 4.0 * u, FORCE)
 
-    def _feet(
-        self, canvas: Canvas, begin: float, left: float, right: float, top: float
-    ) -> None:
+    def _feet(self, canvas: Canvas, begin: float, left: float, right: float, top: float) -> None:
         u = self._unit
         for second in _ticks(begin, begin + self._window, 6):
             x = left + (second - begin) / self._window * (right - left)
+            x = min(x, right - 8.0 * u)
             canvas.text(x, top + 4.0 * u, f"{second:g} s", 11.0 * u, FAINT, anchor="ma")
         x, y = left, top + 36.0 * u
         named: list[tuple[str, Colour]] = [("force", FORCE), ("setpoint", SETPOINT)]
@@ -125,6 +124,11 @@ class ForcePlots:
                 canvas.line(mark, colour, 2.5 * u)
             canvas.text(x + 24.0 * u, y, name, 11.5 * u, FAINT, anchor="lm")
             x += 24.0 * u + canvas.measure(name, 11.5 * u) + 22.0 * u
+
+
+def signed(force: float) -> str:
+    """Return a force [N] as it is read: always with its sign, so that letters do not jump."""
+    return f"{force:+.2f} N".replace("-", MINUS)
 
 
 def _range(record: Record, axis: int, part: slice) -> tuple[float, float]:

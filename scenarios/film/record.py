@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from plant.config import CellConfig
 from scenarios.errors import ScenarioError
-from scenarios.film.meshes import Array
 from scenarios.load import load_scenario
+from scenarios.scene.meshes import Array
 
 _AXES = ("x", "y", "z")
 _JOINTS = range(1, 7)

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from scenarios.film.camera import CLOSE, VIEWS, around, towards
 from scenarios.film.encode import Frame, film_file
 from scenarios.film.layout import Box, lay_out
 from scenarios.film.offscreen import Offscreen
@@ -14,7 +13,8 @@ from scenarios.film.overlay import Overlay, arrow_scale
 from scenarios.film.plan import Plan, Wish, plan_film
 from scenarios.film.plots import ForcePlots
 from scenarios.film.record import Record, read_run
-from scenarios.film.scene import FIELD_OF_VIEW, Scene
+from scenarios.scene.camera import CLOSE, VIEWS, around, towards
+from scenarios.scene.scene import FIELD_OF_VIEW, Scene
 
 _CLOSE_HEIGHT = 0.125
 """What the close view shows at the contact, from top to bottom [m]."""
@@ -55,7 +55,9 @@ def frames(record: Record, plan: Plan) -> Iterator[Frame]:
     scene.pose(record.angles[first], bool(record.touching[first]))
     overview = around(VIEWS[plan.camera], scene.corners(), FIELD_OF_VIEW, view.aspect)
     middle = np.median(record.tissue[first : last + 1], axis=0)
-    detail = towards(CLOSE, middle, _CLOSE_HEIGHT, FIELD_OF_VIEW, close.aspect)
+    detail = towards(
+        CLOSE, middle - [0.0, 0.0, 0.10 * _CLOSE_HEIGHT], _CLOSE_HEIGHT, FIELD_OF_VIEW, close.aspect
+    )
     distance = float((middle - overview.position) @ overview.forward)
     seen = 2.0 * distance * np.tan(np.deg2rad(FIELD_OF_VIEW) / 2.0)
     main = Overlay(record, overview, view, unit, arrow_scale(record, 0.16 * seen))

@@ -68,8 +68,9 @@ def shading(vertices: Array, faces: NDArray[np.int32]) -> Array:
     for i in range(3):
         np.add.at(normals, faces[:, i], area)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, length, out=np.tile([0.0, 0.0, 1.0], (len(normals), 1)),
-                     where=length > 0)  # fmt: skip
+    # Where a surface shrinks to a point with no area any direction will do.
+    unit: Array = np.where(length > 0, normals / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    return unit
 
 
 def lathe(profile: Sequence[tuple[float, float]]) -> Mesh:
@@ -127,9 +128,7 @@ def stadium(start: tuple[float, float], r0: float, end: tuple[float, float], r1:
     return Outline(np.array([start, end]), np.array([r0, r1]))
 
 
-def rectangle(
-    x: tuple[float, float], y: tuple[float, float], corner: float
-) -> Outline:
+def rectangle(x: tuple[float, float], y: tuple[float, float], corner: float) -> Outline:
     """Rectangle between two abscissae and two ordinates with round corners [m]."""
     (x0, x1), (y0, y1), c = x, y, corner
     corners = [(x0 + c, y0 + c), (x1 - c, y0 + c), (x1 - c, y1 - c), (x0 + c, y1 - c)]
@@ -140,8 +139,7 @@ def blend(sections: Sequence[tuple[Outline, float]], fillet: float) -> Mesh:
     """Loft from outline to outline, each at its height [m]; rounded at both ends."""
     (first, bottom), (last, top) = sections[0], sections[-1]
     lower = [
-        _at(first(fillet * (1.0 - np.sin(t))), bottom + fillet * (1.0 - np.cos(t)))
-        for t in _FILLET
+        _at(first(fillet * (1.0 - np.sin(t))), bottom + fillet * (1.0 - np.cos(t))) for t in _FILLET
     ]
     middle = [_at(outline(0.0), height) for outline, height in sections[1:-1]]
     upper = [

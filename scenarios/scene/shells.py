@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plant.viper import ArmSpec, EndEffector
-from scenarios.film.meshes import (
+from scenarios.scene.meshes import (
     Array,
     Mesh,
     Outline,
@@ -52,8 +52,8 @@ def instrument(effector: EndEffector) -> Sequence[Part]:
     reach, ball = float(effector.reach.si), 0.004
     shaft = reach - 1.6 * ball
     return [
-        Part(lathe([(0.024, 0.0), (0.024, 0.004), (0.024, 0.004), (0.0165, 0.010), (0.0165, 0.012)]),
-             "steel"),
+        Part(lathe([(0.024, 0.0), (0.024, 0.004), (0.024, 0.004), (0.0165, 0.010),
+                    (0.0165, 0.012)]), "steel"),
         Part(drum(0.0165, 0.012, 0.030, 0.0012), "dark steel"),
         Part(drum(0.0167, 0.0185, 0.0215, 0.0004), "accent"),
         Part(lathe([(0.0125, 0.030), (0.0115, 0.034), (0.0052, 0.046), (0.0032, 0.050),
@@ -127,7 +127,7 @@ def _upper_arm(a2: float) -> list[Part]:
     inlay = stadium((0.085, 0.0), 0.032, (a2 - 0.070, 0.0), 0.027)
     return [
         Part(slab(beam, -0.052, 0.052, 0.014), "shell"),
-        *_cheeks(inlay, 0.050, 0.0535, 0.0015, np.eye(4), "light"),
+        *_cheeks(inlay, 0.050, 0.0535, 0.0015, np.eye(4), material="light"),
         Part(drum(0.050, -0.0555, 0.0555, 0.002), "joint"),
         Part(drum(0.042, -0.0565, 0.0565, 0.002).placed(shift(a2, 0.0, 0.0)), "joint"),
     ]
@@ -198,7 +198,7 @@ def _flange(d6: float) -> list[Part]:
 
 
 def _cheeks(
-    outline: Outline, inner: float, outer: float, fillet: float, pose: Array,
+    outline: Outline, inner: float, outer: float, fillet: float, pose: Array, *,
     material: str = "shell",
 ) -> list[Part]:  # fmt: skip
     """Two plates of one outline on both sides of the plane in which it lies."""

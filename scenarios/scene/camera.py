@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
+import mujoco
 import numpy as np
 
-from scenarios.film.meshes import Array
+from scenarios.scene.meshes import Array
 
 
 @dataclass(frozen=True)
@@ -42,11 +44,20 @@ class Camera:
     """Vertical angle [deg]."""
     aspect: float
     """Width by height of the picture."""
+    distance: float = 1.0
+    """To what a viewer turns about [m]."""
 
     @property
     def forward(self) -> Array:
         """Unit vector into the picture, ``(3,)``."""
         return directions(self.view)[2]
+
+    def place(self, theirs: Any) -> None:
+        """Put a ``mujoco.MjvCamera`` here; its opening is that of the model."""
+        theirs.type = mujoco.mjtCamera.mjCAMERA_FREE
+        theirs.azimuth, theirs.elevation = self.view.azimuth, self.view.elevation
+        theirs.distance = self.distance
+        theirs.lookat[:] = self.position + self.distance * self.forward
 
     def project(self, points: Array, width: int, height: int) -> Array:
         """Where points ``(..., 3)`` lie in a picture, ``(..., 2)`` [pixels] from its upper left.

@@ -17,9 +17,10 @@ from plant.arm_model import TIP_NAME, tip_placement
 from plant.cell import cell_text
 from plant.config import CellConfig
 from plant.viper import HEART, TOOL, VIPER_S650
-from scenarios.film.meshes import Array, Mesh, rectangle, slab
-from scenarios.film.shells import Part, arm_shells, instrument, pad_holder
-from scenarios.film.tissue import Tissue, skin
+from scenarios.scene.meshes import Array, Mesh, rectangle, slab
+from scenarios.scene.shells import Part, arm_shells, instrument, pad_holder
+from scenarios.scene.skin import skin
+from scenarios.scene.tissue import Tissue
 
 _TISSUE = "tissue skin"
 _MATERIALS: Mapping[str, Mapping[str, Any]] = {
@@ -160,10 +161,13 @@ def _by_material(parts: Iterable[Part]) -> Iterable[tuple[str, Mesh]]:
         groups.setdefault(part.material, []).append(part.mesh)
     for material, meshes in groups.items():
         starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
-        yield material, Mesh(
-            np.concatenate([mesh.vertices for mesh in meshes]),
-            np.concatenate([mesh.normals for mesh in meshes]),
-            np.concatenate([m.faces + start for m, start in zip(meshes, starts, strict=True)]),
+        yield (
+            material,
+            Mesh(
+                np.concatenate([mesh.vertices for mesh in meshes]),
+                np.concatenate([mesh.normals for mesh in meshes]),
+                np.concatenate([m.faces + start for m, start in zip(meshes, starts, strict=True)]),
+            ),
         )
 
 
@@ -228,8 +232,8 @@ def _add_room(spec: Any) -> None:
         ((-0.15, -0.9, -0.55), (0.30, 0.32, 0.36), False),  # rim, from behind
     ):
         world.add_light(
-            pos=_FOCUS - 2.0 * np.array(direction), dir=direction, type=directional, diffuse=strength,
-            specular=tuple(0.5 * s for s in strength), castshadow=shadow,
+            pos=_FOCUS - 2.0 * np.array(direction), dir=direction, type=directional,
+            diffuse=strength, specular=tuple(0.5 * s for s in strength), castshadow=shadow,
         )  # fmt: skip
 
 
@@ -241,7 +245,8 @@ def _bench(size: int) -> NDArray[np.uint8]:
     rim = np.clip(1.0 - np.abs(distance - 0.145) * size / 3.0, 0.0, 1.0)
     grey = 0.30 * (1.0 - hole) + 0.035 * hole + 0.07 * rim
     colour = grey[..., None] * np.array([0.94, 1.0, 1.08])
-    return (255.0 * np.clip(colour, 0.0, 1.0)).astype(np.uint8)
+    picture: NDArray[np.uint8] = (255.0 * np.clip(colour, 0.0, 1.0)).astype(np.uint8)
+    return picture
 
 
 FIELD_OF_VIEW = 26.0
