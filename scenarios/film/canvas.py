@@ -24,6 +24,9 @@ FORCE: Colour = (86, 180, 233)
 SETPOINT: Colour = (240, 200, 70)
 HELD: Colour = (176, 88, 40)
 ALARM: Colour = (213, 62, 48)
+QUIET: Colour = (70, 82, 96)
+INTERFACE = (PANEL, INK, FAINT, RULE, FORCE, SETPOINT, HELD, ALARM, QUIET)
+"""All colours that pictures have in common."""
 
 
 class Canvas:

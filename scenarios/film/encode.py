@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenarios.errors import ScenarioError
+from scenarios.film.canvas import INTERFACE
 
 Frame = NDArray[np.uint8]
 """``(height, width, 3)``"""
@@ -129,7 +130,7 @@ class _Gif:
         """Append a frame."""
         picture = Image.fromarray(frame)
         if self._palette is None:
-            self._palette = picture.quantize(255, method=Image.Quantize.MEDIANCUT)
+            self._palette = _palette(picture)
         self._frames.append(
             picture.quantize(palette=self._palette, dither=Image.Dither.FLOYDSTEINBERG)
         )
@@ -145,6 +146,15 @@ class _Gif:
     def abandon(self) -> None:
         """Let go of the frames."""
         self._frames = []
+
+
+def _palette(picture: Image.Image) -> Image.Image:
+    """Return an image whose palette has the colours of a picture and those of what is written."""
+    fixed = [channel for colour in INTERFACE for channel in colour[:3]]
+    found = picture.quantize(256 - len(INTERFACE), method=Image.Quantize.MEDIANCUT).getpalette()
+    holder = Image.new("P", (1, 1))
+    holder.putpalette([*fixed, *(found or [])][:768])
+    return holder
 
 
 class _Png:

@@ -3,7 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from scenarios.film.canvas import ALARM, FAINT, FORCE, INK, SETPOINT, Canvas, Colour, arrow
+from scenarios.film.canvas import ALARM, FAINT, FORCE, INK, QUIET, SETPOINT, Canvas, Colour, arrow
 from scenarios.film.layout import Box
 from scenarios.film.record import Record
 from scenarios.scene.arrows import force_arrow
@@ -57,7 +57,7 @@ class Overlay:
             cause, when = record.trip
             canvas.pill(edge, y, f"tripped on {cause} at {when:.3f} s", 13.0 * u, ALARM)
         elif not record.touching[record.cycle(time)]:
-            canvas.pill(edge, y, "no contact", 13.0 * u, (70, 82, 96))
+            canvas.pill(edge, y, "no contact", 13.0 * u, QUIET)
         self._legend(canvas, tip)
         return canvas.finished()
 

@@ -18,7 +18,7 @@ from scenarios.scene.scene import FIELD_OF_VIEW, Scene
 
 _CLOSE_HEIGHT = 0.125
 """What the close view shows at the contact, from top to bottom [m]."""
-_SHADOWS, _CLOSE_SHADOWS = 1.0, 0.3
+_SHADOWS, _CLOSE_SHADOWS = 1.0, 0.25
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, frames done and frames in all."""

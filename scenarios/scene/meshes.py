@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SEGMENTS = 48
+SEGMENTS = 40
 """Points of a ring."""
-_FILLET = np.linspace(0.0, np.pi / 2.0, 6)
+_FILLET = np.linspace(0.0, np.pi / 2.0, 5)
 
 
 @dataclass(frozen=True, eq=False)

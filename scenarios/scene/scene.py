@@ -119,7 +119,7 @@ def _compile(config: CellConfig, tissue: Tissue, width: int, height: int) -> Any
     spec = mujoco.MjSpec.from_string(cell_text(config))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FIELD_OF_VIEW
-    spec.visual.quality.shadowsize = 4096
+    spec.visual.quality.shadowsize = 2048
     spec.visual.quality.offsamples = 4
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 30.0
     spec.visual.map.shadowclip = 1.0  # in metres, with this extent
