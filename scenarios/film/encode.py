@@ -55,13 +55,13 @@ def film_file(out: Path, fps: float, width: int, height: int) -> Iterator[Writer
         ScenarioError: it exists, its folder does not, it cannot be written, or what writes it is
         not installed.
     """
-    if out.exists():
-        raise ScenarioError(f"{out}: exists; give another --out")
-    if not out.parent.is_dir():
-        raise ScenarioError(f"{out.parent}: no such folder; give another --out")
     make = _WRITERS[out.suffix.lower()]
     partial: Path | None = None
     try:
+        if out.exists():
+            raise ScenarioError(f"{out}: exists; give another --out")
+        if not out.parent.is_dir():
+            raise ScenarioError(f"{out.parent}: no such folder; give another --out")
         handle, name = tempfile.mkstemp(
             prefix=f".{out.stem[:40]}.", suffix=out.suffix.lower(), dir=out.parent
         )

@@ -18,7 +18,8 @@ _SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 def arrow_scale(record: Record, height: float) -> float:
     """Length by force [m/N] with which a usual force of the run takes a height [m]."""
     sizes = np.linalg.norm(record.force, axis=1)
-    usual = float(np.percentile(sizes[np.isfinite(sizes)], 90)) if len(sizes) else 0.0
+    known = sizes[np.isfinite(sizes)]
+    usual = float(np.percentile(known, 90)) if known.size else 0.0
     return height / max(usual, 1.0)
 
 

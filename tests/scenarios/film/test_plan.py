@@ -26,9 +26,7 @@ def test_a_film_of_a_whole_run_lasts_as_long_as_the_run():
     assert made.instants[-1] < 15.0
 
 
-@given(
-    st.floats(0.0, 5.0), st.floats(0.1, 9.0), st.floats(1.0, 60.0), st.floats(0.1, 20.0)
-)
+@given(st.floats(0.0, 5.0), st.floats(0.1, 9.0), st.floats(1.0, 60.0), st.floats(0.1, 20.0))
 def test_frames_cover_what_was_asked_for_at_the_speed_that_was_asked_for(start, span, fps, speed):
     made = plan(start=start, end=start + span, fps=fps, speed=speed)
     step = speed / fps
