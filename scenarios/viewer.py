@@ -60,7 +60,7 @@ def view(
     """
     _check_display()
     made = assemble(scenario, report)
-    scene = Scene(scenario.cell, 640, 480)
+    scene = Scene(640, 480)
     latest = made.cell.truth()
     scene.pose(latest.joint_angle, latest.touching)
 

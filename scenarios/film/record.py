@@ -14,7 +14,7 @@ from scenarios.load import load_scenario
 from scenarios.scene.meshes import Array
 
 _AXES = ("x", "y", "z")
-_JOINTS = range(1, 7)
+_LEAST_JOINTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Record:
     time: Array
     """``(n,)`` [s]"""
     angles: Array
-    """Of all joints, those of Robot_Heart first, ``(n, 12)`` [rad]."""
+    """Of all joints, those of Robot_Heart first, ``(n, joints)`` [rad]."""
     touching: NDArray[np.bool_]
     """``(n,)``"""
     force: Array
@@ -74,8 +74,8 @@ def read_run(folder: Path) -> Record:
     if table.num_rows == 0:
         raise ScenarioError(f"{path}: the run has no cycle")
     time = _column(table, "time", path)
-    angles = _columns(
-        table, [f"{arm}joint_angle_{j}" for arm in ("heart_", "") for j in _JOINTS], path
+    angles = np.hstack(
+        [_joints(table, name, path) for name in ("heart_joint_angle", "joint_angle")]
     )
     for what, values in (("time", time), ("joint angles", angles)):
         if not np.isfinite(values).all():
@@ -110,6 +110,14 @@ def _look(folder: Path) -> None:
             runs = sorted(path.parent.name for path in folder.glob("*/log.parquet"))
             hint = f"; it holds several runs, give one: {', '.join(runs)}" if runs else ""
             raise ScenarioError(f"{folder}: not the folder of a run, it has no {name}{hint}")
+
+
+def _joints(table: pa.Table, name: str, path: Path) -> Array:
+    """Columns with a number behind their name, from 1 on, at least as many as a Viper has."""
+    count = _LEAST_JOINTS
+    while f"{name}_{count + 1}" in table.column_names:
+        count += 1
+    return _columns(table, [f"{name}_{j}" for j in range(1, count + 1)], path)
 
 
 def _columns(table: pa.Table, names: list[str], path: Path) -> Array:

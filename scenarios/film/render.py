@@ -49,7 +49,7 @@ def frames(record: Record, plan: Plan) -> Iterator[Frame]:
     layout = lay_out(plan.width, plan.height)
     view, close, unit = layout.view, layout.close, layout.unit
     width, height = max(view.width, close.width), max(view.height, close.height)
-    scene = Scene(record.cell, width, height)
+    scene = Scene(width, height)
     first = record.cycle(float(plan.instants[0]))
     last = record.cycle(float(plan.instants[-1]))
     scene.pose(record.angles[first], bool(record.touching[first]))

@@ -13,9 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.arm_model import TIP_NAME, tip_placement
-from plant.cell import cell_text
-from plant.config import CellConfig
+from plant.arm_model import TIP_NAME, body_placements, tip_placement
+from plant.mjcf import cell_mjcf
 from plant.viper import HEART, TOOL, VIPER_S650
 from scenarios.scene.meshes import Array, Mesh, rectangle, slab
 from scenarios.scene.shells import Part, arm_shells, instrument, pad_holder
@@ -58,21 +57,15 @@ class Contact:
 class Scene:
     """The drawn cell in one state."""
 
-    def __init__(self, config: CellConfig, width: int, height: int) -> None:
-        """Build the model.
-
-        Args:
-            config: of the cell that was, or is, simulated.
-            width, height: of the largest picture that will be taken [pixels].
-
-        Raises:
-            PlantError: no such cell can be built.
-        """
+    def __init__(self, width: int, height: int) -> None:
+        """Build the model for pictures of at most a size [pixels]."""
         self.tissue = Tissue(0.34 * float(HEART.effector.rise.si))
-        self.model = _compile(config, self.tissue, width, height)
+        self.model = _compile(self.tissue, width, height)
         self.data = mujoco.MjData(self.model)
-        names = [f"{arm}_joint{i}" for arm in ("heart", "tool") for i in range(1, 7)]
-        self._address = np.array([self.model.joint(name).qposadr[0] for name in names])
+        joints = [self.model.joint(i) for i in range(self.model.njnt)]
+        self._address = np.array(
+            [j.qposadr[0] for arm in ("heart_joint", "tool_joint") for j in joints if arm in j.name]
+        )
         self._tip = self.data.site(TIP_NAME["tool"])
         self._surface = self.data.site(TIP_NAME["heart"])
         model = self.model
@@ -89,7 +82,7 @@ class Scene:
         """Put both arms where their joints say, and let the tissue give way to the tip.
 
         Args:
-            angles: of all joints, those of Robot_Heart first, ``(12,)`` [rad].
+            angles: of all joints, those of Robot_Heart first, ``(n,)`` [rad].
             touching: whether tool and tissue touch.
         """
         model, data = self.model, self.data
@@ -115,8 +108,13 @@ class Scene:
         return corners.reshape(-1, 3)
 
 
-def _compile(config: CellConfig, tissue: Tissue, width: int, height: int) -> Any:
-    spec = mujoco.MjSpec.from_string(cell_text(config))
+def _compile(tissue: Tissue, width: int, height: int) -> Any:
+    # Only where things are matters: friction, lag and stiffness may be any.
+    text = cell_mjcf(
+        VIPER_S650, HEART, TOOL,
+        timestep=1e-3, stiffness=0.0, damping=0.0, friction=0.0, torque_lag=0.0,
+    )  # fmt: skip
+    spec = mujoco.MjSpec.from_string(text)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FIELD_OF_VIEW
     spec.visual.quality.shadowsize = 2048
@@ -133,7 +131,7 @@ def _compile(config: CellConfig, tissue: Tissue, width: int, height: int) -> Any
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = ""
     _add_materials(spec)
     _add_room(spec)
-    for name, parts in _dress().items():
+    for name, parts in _dress(spec).items():
         body = spec.body(name)
         for geom in body.geoms:
             spec.delete(geom)
@@ -146,13 +144,22 @@ def _compile(config: CellConfig, tissue: Tissue, width: int, height: int) -> Any
     return spec.compile()
 
 
-def _dress() -> dict[str, Sequence[Part]]:
-    """What is drawn in place of a body's solids, by the body's name."""
-    shells = arm_shells(VIPER_S650)
-    dress = {f"{arm}_{part}": shells[part] for arm in ("heart", "tool") for part in shells}
-    dress["tool_instrument"] = instrument(TOOL.effector)
-    dress["heart_pad"] = pad_holder(HEART.effector)
-    return dress
+def _dress(spec: Any) -> dict[str, Sequence[Part]]:
+    """What is drawn in place of a body's solids, by the body's name.
+
+    An arm that is no Viper keeps its solids.
+    """
+    shells, places = arm_shells(VIPER_S650), body_placements(VIPER_S650)[:6, :3, 3]
+    dress: dict[str, Sequence[Part]] = {}
+    for arm in ("heart", "tool"):
+        links = [spec.body(f"{arm}_link{i}") for i in range(1, 7)]
+        if all(
+            link is not None and np.allclose(link.pos, place)
+            for link, place in zip(links, places, strict=True)
+        ):
+            dress |= {f"{arm}_{part}": shells[part] for part in shells}
+    held = {"tool_instrument": instrument(TOOL.effector), "heart_pad": pad_holder(HEART.effector)}
+    return dress | {name: parts for name, parts in held.items() if spec.body(name) is not None}
 
 
 def _by_material(parts: Iterable[Part]) -> Iterable[tuple[str, Mesh]]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plant import Cell, CellConfig, ContactConfig
+from plant import Cell, CellConfig
 from plant.arm_model import Solid, effector_solids, link_solids
 from plant.viper import HEART, TOOL, VIPER_S650
 from scenarios.scene.scene import Scene
@@ -14,7 +14,7 @@ from scenarios.scene.tissue import RADIUS, Tissue
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return Scene(CellConfig(), 640, 480)
+    return Scene(640, 480)
 
 
 def middle_of_the_tissue(scene: Scene) -> np.ndarray:
@@ -29,13 +29,13 @@ def test_the_scene_stands_where_the_simulation_does(scene, beating):
     cell = Cell(CellConfig(), beating(40), force=np.array([1.0, 2.0, -10.0]), seed=0)
     for k in range(40):
         measurement, truth = cell.measure(), cell.truth()
+        first = truth.tissue if k == 0 else first
         contact = scene.pose(truth.joint_angle, truth.touching)
         np.testing.assert_allclose(contact.surface, truth.tissue, atol=1e-12)
         np.testing.assert_allclose(contact.tip, measurement.position, atol=1e-12)
         cell.apply(np.array([2.0, -3.0, 5.0]) * np.cos(0.1 * k))
     # and the tissue has moved by then, so that this says something
-    assert np.linalg.norm(contact.surface - cell.model.key_qpos.shape[0]) > 0
-    assert np.ptp([contact.tip[2], contact.surface[2]]) > 1e-4
+    assert np.linalg.norm(truth.tissue - first) > 1e-3
 
 
 def test_the_tissue_goes_with_the_tip_that_touches_and_not_with_one_that_does_not(scene, beating):
@@ -48,11 +48,6 @@ def test_the_tissue_goes_with_the_tip_that_touches_and_not_with_one_that_does_no
     np.testing.assert_allclose(middle_of_the_tissue(scene), touching.tip, atol=1e-7)
     scene.pose(angles, False)
     np.testing.assert_allclose(middle_of_the_tissue(scene), touching.surface, atol=1e-7)
-
-
-def test_contact_laws_do_not_matter_for_the_picture():
-    other = CellConfig(contact=ContactConfig(stiffness=300.0, unilateral=True, gap=0.01))
-    assert Scene(other, 640, 480).model.ngeom == Scene(CellConfig(), 640, 480).model.ngeom
 
 
 def test_what_is_drawn_has_no_mass_and_touches_nothing(scene):
