@@ -7,11 +7,15 @@ from scenarios.film.canvas import ALARM, FAINT, FORCE, INK, QUIET, SETPOINT, Can
 from scenarios.film.layout import Box
 from scenarios.film.record import Record
 from scenarios.scene.arrows import force_arrow
-from scenarios.scene.camera import Camera
+from scenarios.scene.camera import Camera, directions
 from scenarios.scene.meshes import Array
 
 _TRAIL, _AHEAD = 1.0, 1.0
 """How much of the tissue's way is drawn, behind and ahead [s]."""
+_BESIDE = 0.052
+"""How far to the right of the tissue its way is drawn, where nothing hides it [m]."""
+_ENLARGED = 3.0
+"""How much, as it is a few millimetres."""
 _SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
@@ -38,6 +42,7 @@ class Overlay:
         """
         self._record, self._camera, self._box = record, camera, box
         self._unit, self._scale = unit, scale
+        self._middle = np.median(record.tissue, axis=0)
 
     def main(self, time: float, tip: Array, speed: float) -> Image.Image:
         """Over the view of both arms: arrows, name, time, what happened, what arrows mean."""
@@ -69,12 +74,19 @@ class Overlay:
         self._way(canvas, time)
         self._arrows(canvas, time, tip, 6.5 * u)
         y = self._box.height - 18.0 * u
-        length = self._pixels(tip, np.array([0.01 / self._scale, 0.0, 0.0]))
+        length = self._pixels(tip, 0.01)
         x = self._box.width - 20.0 * u
         _bar(canvas, (x - length, x), y, u, "10 mm")
         x, y = 16.0 * u, 20.0 * u
         canvas.line(np.array([[x, y], [x + 18.0 * u, y]]), (255, 255, 255), 2.0 * u)
-        canvas.text(x + 24.0 * u, y, "motion of the tissue", 11.5 * u, INK, anchor="lm")
+        canvas.text(
+            x + 24.0 * u,
+            y,
+            f"tissue's motion, {_ENLARGED:g}:1",
+            11.5 * u,
+            INK,
+            anchor="lm",
+        )
         return canvas.finished()
 
     def _arrows(self, canvas: Canvas, time: float, tip: Array, width: float) -> None:
@@ -97,14 +109,15 @@ class Overlay:
         record = self._record
         now = record.cycle(time)
         rows = np.arange(record.cycle(time - _TRAIL), record.cycle(time + _AHEAD) + 1)
-        rows = rows[:: max(1, len(rows) // 240)]
-        places = self._project(record.tissue[rows])
+        rows = rows[(rows - now) % max(1, len(rows) // 240) == 0]
+        centre = self._middle + _BESIDE * directions(self._camera.view)[0]
+        places = self._project(centre + _ENLARGED * (record.tissue[rows] - self._middle))
         ages = (record.time[rows] - record.time[now]) / _TRAIL
         for i in range(len(rows) - 1):
             share = 1.0 + ages[i] if ages[i] <= 0 else 0.28 * (1.0 - ages[i])
             colour: Colour = (255, 255, 255, round(225 * max(0.0, min(1.0, share))))
             canvas.line(places[i : i + 2], colour, 1.8 * self._unit)
-        canvas.disc(self._project(record.tissue[now]), 3.2 * self._unit, (255, 255, 255))
+        canvas.disc(places[np.searchsorted(rows, now)], 3.2 * self._unit, (255, 255, 255))
 
     def _legend(self, canvas: Canvas, tip: Array) -> None:
         u = self._unit
@@ -118,16 +131,15 @@ class Overlay:
             canvas.text(x + 32.0 * u, y, name, 12.5 * u, INK, anchor="lm")
             x += 32.0 * u + canvas.measure(name, 12.5 * u) + 24.0 * u
         room = 0.16 * self._box.width
-        one = self._pixels(tip, np.array([0.0, 0.0, 1.0]))
+        one = self._pixels(tip, self._scale)
         newtons = max((s for s in _SCALES if s * one <= room), default=_SCALES[0])
         _bar(canvas, (x, x + newtons * one), y, u, f"{newtons:g} N")
 
-    def _pixels(self, at: Array, force: Array) -> float:
-        """How long the arrow of a force would be at a place, seen from the side [pixels]."""
+    def _pixels(self, at: Array, length: float) -> float:
+        """How long a length [m] across the view is at a place [pixels]."""
         depth = float((at - self._camera.position) @ self._camera.forward)
-        opening = 2.0 * np.tan(np.deg2rad(self._camera.opening) / 2.0)
-        length = float(np.linalg.norm(force)) * self._scale
-        return length * self._box.height / (float(opening) * depth)
+        opening = 2.0 * float(np.tan(np.deg2rad(self._camera.opening) / 2.0))
+        return length * self._box.height / (opening * depth)
 
     def _project(self, points: Array) -> Array:
         return self._camera.project(points, self._box.width, self._box.height)

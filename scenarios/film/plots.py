@@ -79,7 +79,7 @@ class ForcePlots:
         canvas.text(
             right - 84.0 * u, line, f"error {signed(force - wish)}", letters, FAINT, anchor="rm"
         )
-        for value in _ticks(low, high, 4):
+        for value in _ticks(low, high, 5):
             y = bottom - (value - low) / (high - low) * (bottom - top)
             canvas.line(np.array([[left, y], [right, y]]), RULE, 1.0 * u)
             canvas.text(

@@ -19,6 +19,9 @@ from scenarios.scene.scene import FIELD_OF_VIEW, Scene
 _CLOSE_HEIGHT = 0.125
 """What the close view shows at the contact, from top to bottom [m]."""
 _SHADOWS, _CLOSE_SHADOWS = 1.0, 0.25
+"""How far around the cell things cast a shadow, for the two views [m]."""
+_FINENESS = {".mp4": 2048, ".gif": 2048, ".png": 4096}
+"""Of shadows; a film of the finest takes half as long again."""
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, frames done and frames in all."""
@@ -49,7 +52,7 @@ def frames(record: Record, plan: Plan) -> Iterator[Frame]:
     layout = lay_out(plan.width, plan.height)
     view, close, unit = layout.view, layout.close, layout.unit
     width, height = max(view.width, close.width), max(view.height, close.height)
-    scene = Scene(width, height)
+    scene = Scene(width, height, shadows=_FINENESS[plan.kind])
     first = record.cycle(float(plan.instants[0]))
     last = record.cycle(float(plan.instants[-1]))
     scene.pose(record.angles[first], bool(record.touching[first]))

@@ -57,10 +57,15 @@ class Contact:
 class Scene:
     """The drawn cell in one state."""
 
-    def __init__(self, width: int, height: int) -> None:
-        """Build the model for pictures of at most a size [pixels]."""
+    def __init__(self, width: int, height: int, *, shadows: int = 2048) -> None:
+        """Build the model.
+
+        Args:
+            width, height: of the largest picture that will be taken [pixels].
+            shadows: fineness of shadows: points across and down the light's picture of the scene.
+        """
         self.tissue = Tissue(0.34 * float(HEART.effector.rise.si))
-        self.model = _compile(self.tissue, width, height)
+        self.model = _compile(self.tissue, width, height, shadows)
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(i) for i in range(self.model.njnt)]
         self._address = np.array(
@@ -108,7 +113,7 @@ class Scene:
         return corners.reshape(-1, 3)
 
 
-def _compile(tissue: Tissue, width: int, height: int) -> Any:
+def _compile(tissue: Tissue, width: int, height: int, shadows: int) -> Any:
     # Only where things are matters: friction, lag and stiffness may be any.
     text = cell_mjcf(
         VIPER_S650, HEART, TOOL,
@@ -117,7 +122,7 @@ def _compile(tissue: Tissue, width: int, height: int) -> Any:
     spec = mujoco.MjSpec.from_string(text)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FIELD_OF_VIEW
-    spec.visual.quality.shadowsize = 2048
+    spec.visual.quality.shadowsize = shadows
     spec.visual.quality.offsamples = 4
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 30.0
     spec.visual.map.shadowclip = 1.0  # in metres, with this extent
