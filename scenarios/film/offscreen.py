@@ -15,12 +15,12 @@ from scenarios.errors import ScenarioError
 from scenarios.scene.camera import Camera
 from scenarios.scene.scene import Scene
 
-_KINDS = ("egl", "osmesa")
 _TRIAL = (
     "import sys, importlib; c = importlib.import_module('mujoco.' + sys.argv[1]).GLContext(16, 16);"
     "c.make_current(); import mujoco; m = mujoco.MjModel.from_xml_string('<mujoco/>');"
     "mujoco.MjrContext(m, 100).free(); c.free()"
 )
+_PLATFORM = "PYOPENGL_PLATFORM"
 _PATIENCE = 120.0
 """How long a trial may take [s]."""
 
@@ -40,11 +40,9 @@ def renderer() -> str | None:
     """Return which library draws without a screen, ``egl`` or ``osmesa``; None if neither does.
 
     Each is tried in a process of its own, as OpenGL's bindings keep to the first that is loaded.
-    ``MUJOCO_GL`` says which is to be tried alone.
     """
-    asked = os.environ.get("MUJOCO_GL", "").strip().lower()
-    for kind in (asked,) if asked in _KINDS else _KINDS:
-        environment = {k: v for k, v in os.environ.items() if k not in {"MUJOCO_GL", _PLATFORM}}
+    environment = {k: v for k, v in os.environ.items() if k not in {"MUJOCO_GL", _PLATFORM}}
+    for kind in ("egl", "osmesa"):
         try:
             tried = subprocess.run(
                 [sys.executable, "-c", _TRIAL, kind],
@@ -55,9 +53,6 @@ def renderer() -> str | None:
         if tried.returncode == 0:
             return kind
     return None
-
-
-_PLATFORM = "PYOPENGL_PLATFORM"
 
 
 class Offscreen:
@@ -124,6 +119,7 @@ class Offscreen:
 
 
 def _context(kind: str, width: int, height: int) -> Any:
+    os.environ.pop(_PLATFORM, None)  # MuJoCo would rather give up than change it
     if kind == "egl":
         from mujoco.egl import GLContext  # noqa: PLC0415 - each binds OpenGL for the process
     else:

@@ -79,6 +79,12 @@ def test_ctrl_c_leaves_nothing_of_a_film(needs_a_renderer, run_folder, start, tm
     assert not list(tmp_path.iterdir())
 
 
+def test_a_wish_for_a_library_that_is_not_there_breaks_nothing(call, tmp_path, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    done = call("scenarios", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
 BAD = {
     "no run": (("render", "nowhere", "--out", "a.png"), "nowhere: no such folder"),
     "no file": (("render", "RUN"), "--out"),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -68,6 +68,7 @@ def test_a_png_is_the_picture_itself(tmp_path):
         assert np.array_equal(np.asarray(still), frame(0))
 
 
+@settings(deadline=None)
 @given(st.integers(1, 400), st.floats(0.1, 50.0))
 def test_a_gif_keeps_time_in_the_long_run(frames, fps):
     shown = durations(frames, fps)

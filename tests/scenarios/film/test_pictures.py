@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenarios.errors import ScenarioError
 from scenarios.film import Wish, render
 from scenarios.film.canvas import FORCE, INK, SETPOINT, Canvas, Colour, arrow, plain
 from scenarios.film.layout import Box, lay_out
-from scenarios.film.offscreen import NoRendererError, Offscreen
+from scenarios.film.offscreen import NoRendererError, Offscreen, renderer
 from scenarios.film.overlay import Overlay, arrow_scale
 from scenarios.film.plan import plan_film
 from scenarios.film.plots import ForcePlots, signed
@@ -40,6 +40,7 @@ def where(picture: np.ndarray, colour: Colour, within: int = 40) -> np.ndarray:
 # --- what is drawn with ----------------------------------------------------------------------
 
 
+@settings(deadline=None)
 @given(st.tuples(*[st.floats(-500, 500)] * 4), st.floats(1.0, 20.0))
 def test_an_arrow_ends_where_it_should_and_is_no_wider_than_its_head(ends, width):
     start, end = np.array(ends[:2]), np.array(ends[2:])
@@ -52,6 +53,7 @@ def test_an_arrow_ends_where_it_should_and_is_no_wider_than_its_head(ends, width
         assert along.min() == pytest.approx(0.0, abs=1e-6)
 
 
+@settings(deadline=None)
 @given(st.text())
 def test_a_text_is_one_line_whatever_it_is(text):
     shown = plain(text)
@@ -180,6 +182,16 @@ def test_without_a_renderer_one_line_says_what_to_install(finished, tmp_path, mo
         render(finished, Wish(tmp_path / "a.png"), lambda *_: None)
     assert "\n" not in str(refused.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_no_library_that_draws_is_found_where_none_works(monkeypatch):
+    """Each is tried in a process of its own: here they are all told to fail."""
+    monkeypatch.setattr("scenarios.film.offscreen._TRIAL", "raise SystemExit(1)")
+    assert renderer.__wrapped__() is None
+    monkeypatch.setattr(
+        "scenarios.film.offscreen._TRIAL", "import sys; assert sys.argv[1] != 'egl'"
+    )
+    assert renderer.__wrapped__() == "osmesa"
 
 
 def test_a_film_of_a_run_that_is_none_leaves_nothing(tmp_path):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenarios.errors import ScenarioError
@@ -26,6 +26,7 @@ def test_a_film_of_a_whole_run_lasts_as_long_as_the_run():
     assert made.instants[-1] < 15.0
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 5.0), st.floats(0.1, 9.0), st.floats(1.0, 60.0), st.floats(0.1, 20.0))
 def test_frames_cover_what_was_asked_for_at_the_speed_that_was_asked_for(start, span, fps, speed):
     made = plan(start=start, end=start + span, fps=fps, speed=speed)
@@ -87,6 +88,7 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(name):
     assert len(str(refused.value)) < 6000
 
 
+@settings(deadline=None)
 @given(st.integers(480, 3840), st.integers(320, 2160))
 def test_the_parts_of_a_picture_cover_it_and_do_not_overlap(width, height):
     layout = lay_out(width, height)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenarios.scene.arrows import force_arrow
@@ -12,6 +12,7 @@ views = st.builds(View, st.floats(-180, 180), st.floats(-80, 80))
 numbers = st.floats(-1.0, 1.0)
 
 
+@settings(deadline=None)
 @given(views)
 def test_directions_are_a_right_handed_frame(view):
     right, up, forward = directions(view)
@@ -21,6 +22,7 @@ def test_directions_are_a_right_handed_frame(view):
     assert up[2] > 0
 
 
+@settings(deadline=None)
 @given(views, st.integers(0, 10_000), st.integers(400, 3000), st.floats(10.0, 70.0))
 def test_all_points_are_in_the_picture_and_the_camera_is_as_near_as_can_be(
     view, seed, width, opening
@@ -32,6 +34,7 @@ def test_all_points_are_in_the_picture_and_the_camera_is_as_near_as_can_be(
     assert np.abs(places).max() == pytest.approx(0.9, abs=1e-6)
 
 
+@settings(deadline=None)
 @given(views, numbers, numbers, numbers)
 def test_what_a_camera_is_aimed_at_is_in_the_middle_and_a_height_fills_it(view, x, y, z):
     point = np.array([x, y, z])
@@ -47,6 +50,7 @@ def test_views_look_at_the_cell_from_different_sides():
     assert angles.max() < np.cos(np.deg2rad(5.0))
 
 
+@settings(deadline=None)
 @given(st.floats(0.1, 100.0), st.floats(1e-4, 0.1), st.floats(1.1, 10.0))
 def test_an_arrow_is_as_long_as_its_force_is_large(size, scale, factor):
     at, along = np.array([0.1, 0.2, 0.3]), np.array([0.6, 0.0, -0.8])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenarios.scene.meshes import Mesh, blend, drum, lathe, rectangle, slab, stadium
@@ -58,6 +58,7 @@ def test_normals_are_of_unit_length_and_point_outwards(name):
     assert (at_corner >= -1e-9 * np.abs(area).max()).all()
 
 
+@settings(deadline=None)
 @given(
     st.floats(-0.3, 0.3), st.floats(0.02, 0.3), st.floats(0.005, 0.05), st.floats(0.005, 0.05),
     st.floats(0.0, 0.004),
