@@ -13,6 +13,7 @@ import mujoco.viewer
 import numpy as np
 
 from plant.interface import Truth
+from plant.own_arm import tool_arm
 from qpmpc.step import Step
 from scenarios.config import Scenario
 from scenarios.errors import ScenarioError
@@ -60,7 +61,7 @@ def view(
     """
     _check_display()
     made = assemble(scenario, report)
-    scene = Scene(640, 480)
+    scene = Scene(tool_arm(scenario.cell), 640, 480)
     latest = made.cell.truth()
     scene.pose(latest.joint_angle, latest.touching)
 

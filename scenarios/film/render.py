@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from plant.own_arm import tool_arm
 from scenarios.film.encode import Frame, film_file
 from scenarios.film.layout import Box, lay_out
 from scenarios.film.offscreen import Offscreen
@@ -52,7 +53,7 @@ def frames(record: Record, plan: Plan) -> Iterator[Frame]:
     layout = lay_out(plan.width, plan.height)
     view, close, unit = layout.view, layout.close, layout.unit
     width, height = max(view.width, close.width), max(view.height, close.height)
-    scene = Scene(width, height, shadows=_FINENESS[plan.kind])
+    scene = Scene(tool_arm(record.cell), width, height, shadows=_FINENESS[plan.kind])
     first = record.cycle(float(plan.instants[0]))
     last = record.cycle(float(plan.instants[-1]))
     scene.pose(record.angles[first], bool(record.touching[first]))

@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.arm_model import TIP_NAME, body_placements, tip_placement
+from plant.arm_model import body_placements, tip_placement, viper_arm
+from plant.chain import TIP_NAME, Arm
 from plant.mjcf import cell_mjcf
 from plant.viper import HEART, TOOL, VIPER_S650
 from scenarios.scene.meshes import Array, Mesh, rectangle, slab
@@ -57,15 +58,16 @@ class Contact:
 class Scene:
     """The drawn cell in one state."""
 
-    def __init__(self, width: int, height: int, *, shadows: int = 2048) -> None:
+    def __init__(self, tool: Arm, width: int, height: int, *, shadows: int = 2048) -> None:
         """Build the model.
 
         Args:
+            tool: Robot_Tool, as the cell has it.
             width, height: of the largest picture that will be taken [pixels].
             shadows: fineness of shadows: points across and down the light's picture of the scene.
         """
         self.tissue = Tissue(0.34 * float(HEART.effector.rise.si))
-        self.model = _compile(self.tissue, width, height, shadows)
+        self.model = _compile(tool, self.tissue, width, height, shadows=shadows)
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(i) for i in range(self.model.njnt)]
         self._address = np.array(
@@ -113,10 +115,10 @@ class Scene:
         return corners.reshape(-1, 3)
 
 
-def _compile(tissue: Tissue, width: int, height: int, shadows: int) -> Any:
+def _compile(tool: Arm, tissue: Tissue, width: int, height: int, *, shadows: int) -> Any:
     # Only where things are matters: friction, lag and stiffness may be any.
     text = cell_mjcf(
-        VIPER_S650, HEART, TOOL,
+        viper_arm(VIPER_S650, HEART), tool,
         timestep=1e-3, stiffness=0.0, damping=0.0, friction=0.0, torque_lag=0.0,
     )  # fmt: skip
     spec = mujoco.MjSpec.from_string(text)

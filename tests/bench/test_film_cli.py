@@ -32,12 +32,15 @@ def needs_a_renderer():
 
 @pytest.mark.rendering
 def test_a_still_of_a_run(needs_a_renderer, run_folder, call, tmp_path):
-    done = call("render", str(run_folder), "--out", "still.png", "--from", "0.2", folder=tmp_path)
+    done = call(
+        "render", str(run_folder), "--out", "still.png", "--from", "0.2", "--size", "641x360",
+        folder=tmp_path,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout == "film: still.png\n"
     assert [path.name for path in tmp_path.iterdir()] == ["still.png"]
     with Image.open(tmp_path / "still.png") as still:
-        assert still.size == (1280, 720)
+        assert still.size == (641, 360)
         assert len(np.unique(np.asarray(still).reshape(-1, 3), axis=0)) > 1000
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from plant.own_arm import tool_arm
 from scenarios.errors import ScenarioError
 from scenarios.film import Wish, render
 from scenarios.film.canvas import FORCE, INK, SETPOINT, Canvas, Colour, arrow, plain
@@ -203,7 +204,7 @@ def test_a_film_of_a_run_that_is_none_leaves_nothing(tmp_path):
 @pytest.mark.rendering
 def test_a_point_is_drawn_where_the_camera_says(record):
     """The tissue's red, as MuJoCo draws it, goes through the picture as its middle does."""
-    scene = Scene(640, 480)
+    scene = Scene(tool_arm(record.cell), 640, 480)
     contact = scene.pose(record.angles[0], False)
     middle = contact.surface - [0.0, 0.0, 0.016]  # what is seen of it lies lower than its top
     drawn, expected = [], []

@@ -1,11 +1,15 @@
 """The drawn cell stands where the simulated one does, and its tissue gives way to the tip."""
 
+import mujoco
 import numpy as np
 import pytest
 
 from plant import Cell, CellConfig
-from plant.arm_model import Solid, effector_solids, link_solids
+from plant.arm_model import effector_solids, link_solids
+from plant.chain import Solid
+from plant.own_arm import tool_arm
 from plant.viper import HEART, TOOL, VIPER_S650
+from scenarios import load_scenario
 from scenarios.scene.scene import Scene
 from scenarios.scene.shells import arm_shells, instrument, pad_holder
 from scenarios.scene.skin import skin
@@ -14,7 +18,7 @@ from scenarios.scene.tissue import RADIUS, Tissue
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return Scene(640, 480)
+    return Scene(tool_arm(CellConfig()), 640, 480)
 
 
 def middle_of_the_tissue(scene: Scene) -> np.ndarray:
@@ -66,6 +70,31 @@ def test_each_body_of_the_arms_is_dressed(scene):
     for arm in ("heart", "tool"):
         for part in ("base", *(f"link{i}" for i in range(1, 7))):
             assert scene.model.body(f"{arm}_{part}").geomnum[0] > 0
+
+
+def test_an_arm_of_ones_own_keeps_its_solids_and_stands_where_it_is_simulated():
+    config = load_scenario("other-arm").cell
+    tool = tool_arm(config)
+    scene = Scene(tool, 640, 480)
+    cell = Cell(config, Still(), force=np.array([1.0, 2.0, -10.0]), seed=0, tool=tool)
+    measurement, truth = cell.measure(), cell.truth()
+    assert truth.joint_angle.shape == (6 + 7,)
+    contact = scene.pose(truth.joint_angle, True)
+    np.testing.assert_allclose(contact.tip, measurement.position, atol=1e-12)
+    np.testing.assert_allclose(contact.surface, truth.tissue, atol=1e-12)
+    meshes = int(mujoco.mjtGeom.mjGEOM_MESH)
+    kinds = {
+        arm: {int(scene.model.geom(int(g)).type[0]) for g in geoms_of(scene, arm)}
+        for arm in ("heart_link", "tool_link")
+    }
+    assert kinds["heart_link"] == {meshes}
+    assert meshes not in kinds["tool_link"]
+
+
+def geoms_of(scene: Scene, part: str) -> list[int]:
+    """Geoms of the bodies with a name that begins so."""
+    names = [scene.model.body(i).name for i in range(scene.model.nbody)]
+    return [g for g, b in enumerate(scene.model.geom_bodyid) if names[b].startswith(part)]
 
 
 @pytest.mark.parametrize("part", range(7))
