@@ -122,10 +122,12 @@ class Cell:
         )
         # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
         self._own = own = slice(HEART_JOINTS, HEART_JOINTS + tool.joints)
+        self._joints = data.qpos[: own.stop]
         self._q, self._qdot = data.qpos[own], data.qvel[own]
         self._heart_ctrl, self._tool_ctrl = data.ctrl[:HEART_JOINTS], data.ctrl[own]
         self._surface = data.site("heart_surface").xpos
         self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
+        self._angle = np.zeros(own.stop)
         self._torque, self._saturated = np.zeros(tool.joints), False
         self._line: deque[tuple[FloatArray, FloatArray]] = deque()
         self._follows = np.isin(np.arange(3), [_AXES.index(axis) for axis in axes])
@@ -164,6 +166,7 @@ class Cell:
         if not np.count_nonzero(np.isnan(reading)):
             self._read = reading  # the inner loop goes on with the last one there was
         self._tissue[:] = self._surface
+        self._angle[:] = self._joints
         self._touching = self._contact.touching
         self._peak_read = float(self._peak)
         return Measurement(
@@ -237,6 +240,7 @@ class Cell:
             self._saturated,
             self._touching,
             self._inner.qdot.copy(),
+            self._angle.copy(),
             self._peak_read,
             self._guard.trip,
         )

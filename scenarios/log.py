@@ -57,6 +57,7 @@ class Log:
         self.command = np.zeros((cycles, n))
         self.torque = np.zeros((cycles, joints))
         self.joint_velocity = np.zeros((cycles, joints))
+        self.joint_angle = np.zeros((cycles, 6 + joints), dtype=np.float32)
         self.touching = np.zeros(cycles, dtype=bool)
         self.trip: Trip | None = None
         self.tripped = np.zeros(cycles, dtype=bool)
@@ -101,6 +102,7 @@ class Log:
         self.command[k] = step.command
         self.torque[k] = truth.torque
         self.joint_velocity[k] = truth.joint_velocity
+        self.joint_angle[k] = truth.joint_angle
         self.touching[k] = truth.touching
         if truth.trip is not None:
             self.trip, self.tripped[k] = truth.trip, True
@@ -168,6 +170,9 @@ class Log:
         add("command", "m/s^2", self.command, self.axes)
         add("torque", "N m", self.torque, joints)
         add("joint_velocity", "rad/s", self.joint_velocity, joints)
+        # For pictures: half a microradian, which four bytes give, is finer than any pixel.
+        add("heart_joint_angle", "rad", self.joint_angle[:, :6], "123456")
+        add("joint_angle", "rad", self.joint_angle[:, 6:], joints)
         add("touching", "1", self.touching)
         add("torque_saturated", "1", self.torque_saturated)
         add("command_saturated", "1", self.command_saturated)

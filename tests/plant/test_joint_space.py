@@ -148,10 +148,12 @@ def test_one_step_of_the_simulation_goes_as_predicted(axes, perfect, make_cell, 
         measurement, truth, command = cell.measure(), cell.truth(), push(k)
         v, force = measurement.velocity[index], measurement.force[index]
         assert np.array_equal(truth.joint_velocity, cell.data.qvel[6:])
+        assert np.array_equal(truth.joint_angle, cell.data.qpos)
         space = cell.joint_space(measurement.force, push(k - 1))
         np.testing.assert_allclose(speeds(space, v), truth.joint_velocity, rtol=0, atol=1e-9)
         cell.apply(command)
         asked.append(cell.truth().torque)
+        assert np.array_equal(cell.truth().joint_angle, truth.joint_angle)  # still of the measure
         assert not cell.truth().saturated
         if before is not None:
             wrong = np.abs(speeds(before, v) - truth.joint_velocity)
