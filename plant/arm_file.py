@@ -62,6 +62,18 @@ def read_arm_file(path: Path) -> ArmFile:
     return ArmFile(path.name, _compile(root, path), speeds)
 
 
+def self_contained(path: Path) -> str:
+    """Return the text of an arm's file with all that it includes in its place.
+
+    Raises:
+        ArmError: see `read_arm_file`.
+    """
+    root = _parse(path)
+    if root.tag == "mujoco":
+        _expand(root, path, {path.resolve()})
+    return ET.tostring(root, encoding="unicode")
+
+
 def _compile(root: ET.Element, path: Path) -> Any:
     """Compile what is left, without the log file that MuJoCo would write a warning into."""
     before = mujoco.get_mju_user_warning()
