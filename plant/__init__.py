@@ -3,6 +3,7 @@
 from plant.cell import Cell
 from plant.config import (
     ArmConfig,
+    BristleConfig,
     CellConfig,
     ContactConfig,
     ImperfectionConfig,
@@ -11,6 +12,7 @@ from plant.config import (
     ToolConfig,
 )
 from plant.errors import ArmError, PlantError
+from plant.indentation import Indentation, indent
 from plant.interface import Cause, JointPlant, JointSpace, Measurement, Plant, Trip, Truth
 from plant.own_arm import tool_arm
 from plant.playback import UnreachableMotionError
@@ -19,11 +21,13 @@ from plant.protection import force_cap
 __all__ = [
     "ArmConfig",
     "ArmError",
+    "BristleConfig",
     "Cause",
     "Cell",
     "CellConfig",
     "ContactConfig",
     "ImperfectionConfig",
+    "Indentation",
     "JointPlant",
     "JointSpace",
     "Measurement",
@@ -36,5 +40,6 @@ __all__ = [
     "Truth",
     "UnreachableMotionError",
     "force_cap",
+    "indent",
     "tool_arm",
 ]

@@ -14,7 +14,7 @@ import pinocchio as pin
 from plant.arm_model import build_arm_model, viper_arm
 from plant.chain import Arm
 from plant.config import CellConfig, ContactConfig
-from plant.contact import GRIP, Contact
+from plant.contact import Contact
 from plant.errors import PlantError, UnstableSimulationError
 from plant.inner_loop import InnerLoop
 from plant.interface import JointSpace, Measurement, TissueMotion, Truth
@@ -26,6 +26,7 @@ from plant.posture import reach
 from plant.protection import Guard, close_brakes
 from plant.sensors import ForceSensor
 from plant.stepping import CompiledStepper, PythonStepper, Stepper
+from plant.tissue import contradiction, rest_displacement, sideways
 from plant.viper import HEART, VIPER_S650, FloatArray
 
 Axis = Literal["x", "y", "z"]
@@ -54,6 +55,7 @@ class Cell:
         heart: Programme | None = None,
         library: ctypes.CDLL | None = None,
         tool: Arm | None = None,
+        contraction: FloatArray | None = None,
     ) -> None:
         """Build both arms and put them into contact.
 
@@ -69,15 +71,19 @@ class Cell:
             library: the physics loop, compiled from `plant.stepping.source_text` for as many
                 joints as the tool has; the run is the same without it, and slower.
             tool: the arm of `plant.own_arm.tool_arm` for this configuration, where it is at hand.
+            contraction: how far the heart is contracted at the control instants, ``(n,)``, from 0
+                to 1; for ``contact.systolic_stiffening``, which needs it.
 
         Raises:
             UnreachableMotionError: Robot_Heart cannot play the motion.
             ArmError: Robot_Tool is an arm of one's own that cannot be used.
-            PlantError: the contact has a gap but is bilateral, or is unilateral and cannot carry
-                the force; or the library is not what it should be.
+            PlantError: the contact contradicts itself, or is unilateral and cannot carry the force,
+                or stiffens with a beat that is not told; or the library is not what it should be.
         """
         self._load = np.asarray(force, dtype=np.float64)
         _check_start(config.contact, self._load)
+        self._factor = _factor(config.contact, contraction, motion.position.shape[0])
+        self._stiffens = np.diff(self._factor, append=self._factor[-1:]) / config.substeps
         self.period = config.period
         self.cycles = motion.position.shape[0]
         """How many cycles the motion lasts."""
@@ -115,6 +121,7 @@ class Cell:
         self._peak = block["peak"]
         self._contact = Contact(block, self.model, data, config.contact)
         self._guard = Guard(config, block, (self.model, data), self._contact, (self._heart, tool))
+        self._config = config.contact
         self._stepper: Stepper = (
             CompiledStepper(library, block, self.model, data)
             if library
@@ -136,12 +143,20 @@ class Cell:
         if config.contact.gap > 0:
             self._place(motion.position[0] + [0.0, 0.0, config.contact.gap], np.zeros(3))
         else:
-            self._place(motion.position[0] + self._load / config.contact.stiffness, self._load)
+            pressed = rest_displacement(config.contact, self._load, self._factor[0])
+            self._place(motion.position[0] + pressed, self._load)
 
     def close_brakes(self) -> None:
         """Lock the tool's joints where they are, and let the guard rest."""
         close_brakes(self.model, self.data, self.joints)
         self._guard.stand_down()
+
+    def rest(self, force: FloatArray) -> FloatArray:
+        """Return where the tool rests that presses with ``force (3,)`` [N] on the tissue at home.
+
+        Displacement of its tip from home, ``(3,)`` [m], at the mean stiffness of the motion.
+        """
+        return rest_displacement(self._config, force, float(self._factor.mean()))
 
     def move_tool(self, displacement: FloatArray) -> None:
         """Put the tool elsewhere, at rest: its tip ``displacement (3,)`` [m] from home.
@@ -208,6 +223,7 @@ class Cell:
         guard.expect(self._cycle, self._asked)
         np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
         self._peak[()] = 0.0
+        self._contact.beat(self._factor[self._cycle], self._stiffens[self._cycle])
         self._stepper.advance()
         guard.notice()
         self._cycle += 1
@@ -273,7 +289,7 @@ class Cell:
         self._lean = -(load @ J[:, heart]) / SERVO_STIFFNESS
         self._heart_ctrl[:] = self._heart.ctrl[0] + self._lean
         mujoco.mj_step1(model, data)
-        self._contact.begin()
+        self._contact.begin(float(self._factor[0]))
         self._guard.begin()
         self._peak[()] = 0.0
         self.measure()
@@ -322,13 +338,26 @@ def _displaced(arm: Arm, displacement: FloatArray) -> FloatArray:
 
 
 def _check_start(contact: ContactConfig, force: FloatArray) -> None:
-    if not contact.unilateral:
-        if contact.gap > 0:
-            raise PlantError("contact.gap: only a unilateral contact can start with a gap")
-        return
+    found = contradiction(contact)
+    if found is not None:
+        raise PlantError(f"contact.{found[0]}: {found[1]}")
     x, y, z = force.tolist()
-    if contact.gap == 0 and (z > 0 or math.hypot(x, y) > -GRIP * z):
+    grip = sideways(contact)
+    if contact.unilateral and contact.gap == 0 and (z > 0 or math.hypot(x, y) > -grip * z):
         raise PlantError(
             f"a unilateral contact cannot start with a force of {x:g}, {y:g}, {z:g} N: it only "
-            f"pushes, and carries sideways at most {GRIP:g} times what it carries downwards"
+            f"pushes, and carries sideways at most {grip:g} times what it carries downwards"
         )
+
+
+def _factor(contact: ContactConfig, contraction: FloatArray | None, cycles: int) -> FloatArray:
+    """By how much the tissue is stiffer at the control instants than at rest, ``(cycles,)``."""
+    if contact.systolic_stiffening == 0:
+        return np.ones(cycles)
+    if contraction is None:
+        raise PlantError("contact.systolic_stiffening: nothing is told of the heart's beats")
+    contraction = np.asarray(contraction, dtype=np.float64)
+    within = contraction.shape == (cycles,) and bool((contraction >= 0.0).all())
+    if not (within and bool((contraction <= 1.0).all())):
+        raise PlantError(f"contraction: must be {cycles} numbers from 0 to 1")
+    return 1.0 + contact.systolic_stiffening * contraction

@@ -6,21 +6,62 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 
 SensorModel = Literal["ideal", "nano17", "mini45"]
+ContactLaw = Literal["spring", "kelvin_voigt", "standard_linear_solid", "hunt_crossley"]
 PerJoint = Annotated[float, Ge(0)] | tuple[Annotated[float, Ge(0)], ...]
 """One number for all joints, or one for each, from the base on."""
 
 
 @dataclass(frozen=True)
-class ContactConfig:
-    """Spring (and optional Kelvin-Voigt damper) between instrument and tissue, per axis."""
+class BristleConfig:
+    """Friction of the bristles that the tool bends, under the law ``hunt_crossley``."""
 
+    static: Annotated[float, Gt(0), Le(10)] = 0.6
+    """Coefficient of friction at rest [-]. Estimated, for a tip with teeth: wet tissue on smooth
+    steel has 0.05 to 0.3, and slips at the paper's setpoint, which needs 0.22."""
+    kinetic: Annotated[float, Gt(0), Le(10)] = 0.5
+    """Coefficient of friction of a fast slide [-]; estimated."""
+    stribeck_velocity: Annotated[float, Gt(0), Le(10)] = 0.01
+    """Speed at which the coefficient is half way from static to kinetic [m/s]; estimated."""
+    break_away: Annotated[float, Ge(0), Le(1)] = 0.7
+    """Share of the largest deflection up to which bristles only bend, and none of them slips [-];
+    estimated."""
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """The tissue between the two arms: which force law it follows, see ``docs/plant.md``."""
+
+    law: ContactLaw = "kelvin_voigt"
+    """``spring``; ``kelvin_voigt``, a damper beside the spring, which with ``damping`` 0 is the
+    spring; ``standard_linear_solid``, whose stress relaxes; ``hunt_crossley``, a surface that
+    dents, with bristle friction."""
     stiffness: Annotated[float, Gt(0), Le(1e6)] = 2500.0
-    """True stiffness of the tissue, the same on every axis [N/m]."""
+    """Stiffness of the tissue at rest between beats, the same on every axis [N/m]: of a fast
+    deformation under ``standard_linear_solid``; of the normal force at ``reference_depth``, and of
+    the bristles, under ``hunt_crossley``."""
     damping: Annotated[float, Ge(0)] = 0.0
-    """Damping in parallel to the spring [N s/m]."""
+    """Damping in parallel to the spring, under ``hunt_crossley`` to the bristles [N s/m]; neither
+    ``spring`` nor ``standard_linear_solid`` has one."""
+    relaxation: Annotated[float, Ge(0), Lt(1)] = 0.3
+    """``standard_linear_solid``: share of the stiffness that relaxes [-]; estimated."""
+    relaxation_time: Annotated[float, Gt(0), Le(1e3)] = 0.2
+    """``standard_linear_solid``: time constant with which it does [s]; estimated."""
+    exponent: Annotated[float, Ge(1), Le(4)] = 1.5
+    """``hunt_crossley``: exponent of the depth [-]; 1.5 for a round tip, after Hertz."""
+    reference_depth: Annotated[float, Gt(0), Le(0.1)] = 0.006
+    """``hunt_crossley``: depth at which ``stiffness`` is the slope of the force [m]; there the
+    force is stiffness x depth / exponent, 10 N by default."""
+    dissipation: Annotated[float, Ge(0), Le(100)] = 0.02
+    """``hunt_crossley``: lambda / K, the damping per newton of elastic force [s/m]; slow impacts
+    have a coefficient of restitution of 1 - 2/3 x dissipation x speed. Estimated."""
+    bristles: BristleConfig = field(default_factory=BristleConfig)
+    systolic_stiffening: Annotated[float, Ge(0), Le(20)] = 0.0
+    """How much stiffer the tissue is at the height of systole, relative to ``stiffness`` [-]. The
+    motion must have beats."""
     unilateral: bool = False
-    """Whether the tissue can only push: the tool lifts off, and the lateral spring holds only while
-    they touch, from where they touched, with at most as much force as the tool presses with."""
+    """Whether the tissue can only push: the tool lifts off, and sideways forces last only while
+    they touch, from where they touched, with at most as much force as the tool presses with.
+    ``hunt_crossley`` is of this kind only."""
     gap: Annotated[float, Ge(0), Le(0.1)] = 0.0
     """Distance between tool and tissue at the start, for a unilateral contact; 0: start in contact
     with the given force [m]."""

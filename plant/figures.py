@@ -16,9 +16,9 @@ import numpy as np
 
 from plant.arm_model import effector_inertia, link_inertias, viper_arm
 from plant.config import CellConfig
-from plant.contact import GRIP
 from plant.mjcf import SERVO_DAMPING, SERVO_STIFFNESS, cell_mjcf
 from plant.sensors import SENSORS
+from plant.tissue import GRIP
 from plant.viper import CONTACT_POINT, HEART, TOOL, VIPER_S650, Quantity, Station
 
 BEGIN = "<!-- figures: python -m plant.figures docs/plant.md writes what follows -->"
@@ -63,6 +63,25 @@ class Figure:
     value: str
     unit: str
     source: str
+
+
+_LAWS = {
+    "relaxation": ("1", _ESTIMATED),
+    "relaxation_time": ("s", _ESTIMATED),
+    "exponent": ("1", "Hertz, a round tip on a half-space"),
+    "reference_depth": ("m", "chosen: there a round tip presses with the paper's 10 N"),
+    "dissipation": ("s/m", _ESTIMATED + ": small, as the default controller bears little damping"),
+    "static": ("1", _ESTIMATED + ": a tip with teeth; the paper's setpoint needs 0.22"),
+    "kinetic": ("1", _ESTIMATED),
+    "stribeck_velocity": ("m/s", _ESTIMATED),
+    "break_away": ("1", _ESTIMATED),
+    "systolic_stiffening": (
+        "1",
+        "off; H. J. Vos et al., Ultrasound Med. Biol. 43, 2017: shear waves in pigs' hearts of 2.2 "
+        "and 4.2 m/s as systole begins and ends, a modulus 3.6 times as large, would be 2.6",
+    ),
+}
+"""Keys of the contact laws."""
 
 
 def tables() -> dict[str, list[Figure]]:
@@ -155,6 +174,10 @@ def _contact() -> Iterable[Figure]:
     yield Figure("`cell.contact.damping`", _text(contact.damping), "N s/m", "the paper's model")
     grip = _ESTIMATED + f": well above the 0.22 of the setpoint in {_PAPER}"
     yield Figure("lateral force of a contact that only pushes", _text(GRIP), "of the normal", grip)
+    for name, (unit, source) in _LAWS.items():
+        record = contact.bristles if hasattr(contact.bristles, name) else contact
+        key = f"bristles.{name}" if record is contact.bristles else name
+        yield Figure(f"`cell.contact.{key}`", _text(getattr(record, name)), unit, source)
     for model, sensor in SENSORS.items():
         yield _quantity(f"`{model}`: step of the reading", sensor.resolution)
         yield _quantity(f"`{model}`: white noise, standard deviation", sensor.noise)

@@ -28,6 +28,7 @@ from plant.interface import Cause, Trip
 from plant.memory import HEART_JOINTS, Memory
 from plant.own_arm import tool_arm
 from plant.playback import Programme
+from plant.tissue import worst_force
 from plant.viper import FloatArray
 
 OFF, WATCHING, RETRACTING, BRAKED = range(4)
@@ -145,7 +146,7 @@ class Guard:
         if self._missed > self._config.heartbeat and self._mode == WATCHING:
             self._block["step"] = 0
             self._trip(Cause.HEARTBEAT, -1, float(self._missed), float(self._config.heartbeat))
-            self._contact.follow()
+            self._contact.follow(0)
             self.retract()
 
     def expect(self, cycle: int, asked: FloatArray) -> None:
@@ -266,7 +267,7 @@ class Guard:
         m = self._block
         self._mode[()] = RETRACTING
         m["cause"], m["joint"], m["value"], m["limit"] = _NUMBER[cause], joint, value, limit
-        m["unilateral"] = 1
+        m["unilateral"] = m["renewed"] = 1
         m["normal"], m["tip_tripped"] = self._surface.xmat[2::3], self._tip
         m["depth"] = float(self._contact.depth)
         m["goal"], m["goal_speed"] = self._q, 0.0
@@ -325,7 +326,9 @@ def force_cap(config: CellConfig, tissue_speed: float, tool: Arm | None = None) 
     tip stops, and meanwhile the tissue comes towards it:
 
         v = v_limit + a h + (a + b) lag       v' = -b + (a + b) exp(-t / lag), integrated
-        cap = F_limit + K (v h + v^2 / (2 b) + v_tissue v / b) + D (v + v_tissue)
+        way = v h + v^2 / (2 b) + v_tissue v / b
+        cap = F_limit + K way + D (v + v_tissue)       for a spring or a Kelvin-Voigt element;
+                                                       for all laws, see `plant.tissue.worst_force`
 
     a is the largest acceleration of the tip, b its smallest deceleration, in any direction.
     Infinite without protection.
@@ -342,7 +345,7 @@ def force_cap(config: CellConfig, tissue_speed: float, tool: Arm | None = None) 
     step, lag = config.period / config.substeps, config.imperfections.torque_lag
     speed = own.tip_speed + hardest * step + (hardest + braking) * lag
     way = speed * step + speed**2 / (2.0 * braking) + tissue_speed * speed / braking
-    return own.force + contact.stiffness * way + contact.damping * (speed + tissue_speed)
+    return worst_force(contact, own.force, way, speed + tissue_speed)
 
 
 @lru_cache(maxsize=4)

@@ -40,11 +40,7 @@ class PythonStepper:
     ) -> None:
         self._model, self._data, self._contact, self._guard = model, data, contact, guard
         self._substeps = int(block["substeps"])
-        self._mode, self._peak, self._only_pushes = (
-            block["mode"],
-            block["peak"],
-            block["unilateral"],
-        )
+        self._mode, self._peak, self._renewed = block["mode"], block["peak"], block["renewed"]
 
     def advance(self) -> None:
         """Go on by one period."""
@@ -53,15 +49,15 @@ class PythonStepper:
             mujoco.mj_step2(self._model, self._data)
             # Positions and velocities of the new instant: what mj_step leaves is a step old.
             mujoco.mj_step1(self._model, self._data)
-            if self._only_pushes:
-                contact.follow()
+            if self._renewed:
+                contact.follow(1)
             force = contact.size()
             if not force <= self._peak:
                 self._peak[()] = force
             if mode == WATCHING:
                 guard.watch(step)
                 if mode == RETRACTING:
-                    contact.follow()
+                    contact.follow(0)
             if mode == RETRACTING:
                 guard.retract()
 

@@ -129,6 +129,14 @@ class Controller:
         self._fallback.forget()
         self._prepared[0] = 1
 
+    def overrule(self, command: ArrayLike) -> None:
+        """Take note that another command ``(n_inputs,)`` is applied than that of the last step.
+
+        Between `step` and `prepare`. The plan of that step is forgotten: it began otherwise.
+        """
+        self.command[:] = command
+        self._fallback.forget()
+
     def prepare(self) -> None:
         """Advance the observer under the command just applied; needs no measurement."""
         if self.compiled is not None:

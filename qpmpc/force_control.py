@@ -152,6 +152,21 @@ class ForceController:
         """Do what needs no measurement, after the command has been applied."""
         self.general.prepare()
 
+    def adopt(self, *, command: Array | None = None, force: Array | None = None) -> None:
+        """Go on from what is so in place of what was decided or expected.
+
+        Args:
+            command: applied in place of that of the last step, ``(n_axes,)`` [m/s^2]; between
+                `step` and `prepare`.
+            force: contact force that the estimate counts from now on, ``(n_axes,)`` [N]: after
+                `step`, that of this cycle; after `prepare`, that of the next.
+        """
+        if command is not None:
+            self.general.overrule(command)
+        if force is not None:
+            state = self.general.observer.state
+            state.reshape(len(self.axes), -1)[:, 0] = force
+
     def move(self, name: str, lower: Array, upper: Array) -> None:
         """Change a bound from the next step on; margins are kept as configured.
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import is_dataclass
 from typing import get_args
 
+from plant.tissue import contradiction
 from qpmpc.config import INFINITE, Band, Interval, PerAxis, SoftBoundName
 from scenarios.config import AxesChange, Scenario, SetpointConfig
 from scenarios.errors import ScenarioKeyError
@@ -51,9 +52,41 @@ def check_consistent(scenario: Scenario, source: str) -> None:
             raise ScenarioKeyError(source, place, "must be in the order of their times")
     _check_protection(scenario, source)
     _check_one_setpoint(scenario, source)
+    _check_contact(scenario, source)
+    _check_approach(scenario, source)
+
+
+def _check_contact(scenario: Scenario, source: str) -> None:
+    """Check that the contact law has what it is given, and the beats that it follows."""
     contact = scenario.cell.contact
-    if contact.gap > 0 and not contact.unilateral:
-        raise ScenarioKeyError(source, "cell.contact.gap", "needs cell.contact.unilateral = true")
+    found = contradiction(contact)
+    if found is not None:
+        raise ScenarioKeyError(source, f"cell.contact.{found[0]}", found[1])
+    if contact.systolic_stiffening > 0 and scenario.motion.file is not None:
+        raise ScenarioKeyError(
+            source,
+            "cell.contact.systolic_stiffening",
+            "motion.file tells no beats; motion.beats or a generated motion does",
+        )
+
+
+def _check_approach(scenario: Scenario, source: str) -> None:
+    """Check that the sensor can tell the pressing force that is wished for from none."""
+    setpoint, least = scenario.setpoint, scenario.contact_found_above
+    if not scenario.cell.contact.unilateral or not scenario.approach.enabled:
+        return
+    if "z" not in scenario.axes or setpoint.file is not None:
+        return
+    wished = [("setpoint.z", setpoint.z)]
+    wished += [(f"setpoint.steps.{i}.z", step.z or 0.0) for i, step in enumerate(setpoint.steps)]
+    for place, z in wished:
+        if 0.0 < -z <= least:
+            raise ScenarioKeyError(
+                source,
+                place,
+                f"presses with {-z:g} N; contact is found above {least:.3g} N (twice "
+                "approach.threshold): press harder, lower that, or set approach.enabled = false",
+            )
 
 
 def _check_one_setpoint(scenario: Scenario, source: str) -> None:

@@ -13,6 +13,7 @@ from plant.own_arm import tool_arm
 from qpmpc.backends import Fact, backend_class
 from qpmpc.controller import Compilation
 from qpmpc.force_control import ForceController
+from scenarios.approach import recovery
 from scenarios.config import Scenario
 from scenarios.consistency import band
 from scenarios.errors import ScenarioError
@@ -97,6 +98,7 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
             heart=heart,
             library=library,
             tool=tool,
+            contraction=motion.contraction,
         )
 
     cell = another_cell()
@@ -105,12 +107,13 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     return Assembly(cell, setpoint, schedule, controller, log, another_cell)
 
 
-def hold_still(cell: Cell, scenario: Scenario, setpoint: Setpoint | LiveSetpoint) -> None:
+def hold_still(cell: Cell, setpoint: Setpoint | LiveSetpoint) -> None:
     """Close the brakes where the force would be the setpoint at the start in the tissue's middle.
 
-    The middle is that of its motion: no other place gives less force error.
+    The middle is that of its motion: no other place gives less force error, as long as the force
+    is proportional to the way.
     """
-    cell.move_tool(setpoint.start / scenario.cell.contact.stiffness)
+    cell.move_tool(cell.rest(setpoint.start))
     cell.close_brakes()
 
 
@@ -168,10 +171,13 @@ def run_experiment(
     cycles = scenario.cycles
     made = assemble(scenario, report)
     log = made.log
+    looking_after = recovery(scenario, made.schedule)
+    if looking_after is not None:
+        log.contact_events = looking_after.watch.events
     watch = shadow(made.controller) if shadow else None
     if held is None:
         still = made.another_cell()
-        hold_still(still, scenario, made.setpoint)
+        hold_still(still, made.setpoint)
     ready = perf_counter()
     controlled, stopped = None, None
     try:
@@ -182,6 +188,7 @@ def run_experiment(
             log,
             cycles,
             schedule=made.schedule,
+            recovery=looking_after,
             watch=watch,
             pace=pace,
             progress=lambda done, total: report("compensated", done, total),

@@ -12,6 +12,7 @@ from plant.interface import Cause, Measurement, Trip, Truth
 from qpmpc.fallback import Source
 from qpmpc.status import Status
 from qpmpc.step import Step
+from scenarios.approach import ContactEvent, ContactState
 from scenarios.live import Source as SetpointSource
 from scenarios.motion import Axis
 
@@ -22,6 +23,7 @@ _CODES = {status: code for code, status in enumerate(_STATUSES)}
 _SOURCES = tuple(Source)
 _SETPOINT_SOURCES = tuple(source.name.lower() for source in SetpointSource)
 _SOURCE_CODES = {source: code for code, source in enumerate(_SOURCES)}
+_CONTACTS = tuple(state.name.lower() for state in ContactState)
 _TRIPS = ("none", *Cause)
 
 
@@ -59,6 +61,9 @@ class Log:
         self.joint_velocity = np.zeros((cycles, joints))
         self.joint_angle = np.zeros((cycles, 6 + joints), dtype=np.float32)
         self.touching = np.zeros(cycles, dtype=bool)
+        self.contact = np.zeros(cycles, dtype=np.int8)
+        self.contact_events: Sequence[ContactEvent] | None = None
+        """Times off the tissue; None where the contact cannot be lost."""
         self.trip: Trip | None = None
         self.tripped = np.zeros(cycles, dtype=bool)
         self.torque_saturated = np.zeros(cycles, dtype=bool)
@@ -84,10 +89,14 @@ class Log:
         saturated: bool,
         cycle_time: float,
         plant_time: float = 0.0,
+        command: Array | None = None,
+        contact: ContactState = ContactState.PRESSING,
     ) -> None:
         """Write the next row: the instant of ``measurement``, what was decided, what it took.
 
         ``cycle_time`` is the controller's share [s], ``plant_time`` that of the plant [s].
+        ``command`` is applied in place of the step's where it is given; ``contact``: what the
+        measured force tells of the contact.
         """
         k = self.cycles
         self.time[k] = measurement.time
@@ -99,11 +108,12 @@ class Log:
         self.tissue[k] = truth.tissue
         self.tool[k] = measurement.position
         self.tool_velocity[k] = measurement.velocity
-        self.command[k] = step.command
+        self.command[k] = step.command if command is None else command
         self.torque[k] = truth.torque
         self.joint_velocity[k] = truth.joint_velocity
         self.joint_angle[k] = truth.joint_angle
         self.touching[k] = truth.touching
+        self.contact[k] = contact
         if truth.trip is not None:
             self.trip, self.tripped[k] = truth.trip, True
         self.torque_saturated[k] = truth.saturated
@@ -183,6 +193,7 @@ class Log:
         for name, names, chosen in (
             ("status", _STATUSES, self.status),
             ("source", _SOURCES, self.source),
+            ("contact", _CONTACTS, self.contact),
             ("setpoint_source", _SETPOINT_SOURCES, self.setpoint_source),
             ("trip", _TRIPS, self.tripped * _TRIPS.index(self.trip.cause if self.trip else "none")),
         ):
