@@ -12,6 +12,7 @@ the Denavit-Hartenberg lengths, and its mass is spread evenly over their volume,
 twice. The same solids are drawn in the MJCF: what is seen is what is weighed.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -227,15 +228,23 @@ def viper_arm(spec: ArmSpec, station: Station) -> Arm:
     )
 
 
-def build_arm_model(arm: Arm, inertia_error: float = 0.0) -> ArmModel:
+def build_arm_model(arm: Arm, inertia_error: float | Sequence[float] = 0.0) -> ArmModel:
     """Pinocchio model of one arm where it stands, with what it carries.
 
     Args:
         arm: see there.
         inertia_error: e > -1; masses, inertias and armatures are (1 + e) times the true ones, to
-            study a controller whose model is wrong [-].
+            study a controller whose model is wrong; one for all, or one for each link and, as the
+            last, for what the flange carries [-].
+
+    Raises:
+        PlantError: there are neither one nor as many errors.
     """
-    scale = 1.0 + inertia_error
+    count = arm.joints + 1
+    errors = np.atleast_1d(np.asarray(inertia_error, dtype=np.float64))
+    if errors.size not in (1, count):
+        raise PlantError(f"imperfections.inertia_error: {errors.size} values, must be 1 or {count}")
+    scale = 1.0 + np.broadcast_to(errors, (count,))
     model = pin.Model()
     parent, before = 0, pin.SE3(arm.base.placement)
     for i, link in enumerate(arm.links):
@@ -251,12 +260,12 @@ def build_arm_model(arm: Arm, inertia_error: float = 0.0) -> ArmModel:
         )
         before = pin.SE3.Identity()
         if link.inertia is not None:
-            model.appendBodyToJoint(parent, _scaled(link.inertia, scale), before)
+            model.appendBodyToJoint(parent, _scaled(link.inertia, scale[i]), before)
     end = pin.SE3.Identity()
     if arm.effector is not None and arm.effector.inertia is not None:
         end = pin.SE3(arm.effector.placement)
-        model.appendBodyToJoint(parent, _scaled(arm.effector.inertia, scale), end)
-    model.armature = scale * arm.armature
+        model.appendBodyToJoint(parent, _scaled(arm.effector.inertia, scale[-1]), end)
+    model.armature = scale[:-1] * arm.armature
     tip = model.addFrame(
         pin.Frame(TIP_NAME[arm.name], parent, end * pin.SE3(arm.tip), pin.FrameType.OP_FRAME)
     )

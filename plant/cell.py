@@ -2,7 +2,6 @@
 
 import ctypes
 import math
-from collections import deque
 from collections.abc import Sequence
 from functools import cache
 from typing import Literal
@@ -13,12 +12,15 @@ import pinocchio as pin
 
 from plant.arm_model import build_arm_model, viper_arm
 from plant.chain import Arm
-from plant.config import CellConfig, ContactConfig
+from plant.config import CellConfig, ContactConfig, ImperfectionConfig
 from plant.contact import Contact
+from plant.encoders import Encoders
 from plant.errors import PlantError, UnstableSimulationError
+from plant.flexibility import JointSprings, joint_springs
+from plant.friction import StribeckFriction
 from plant.inner_loop import InnerLoop
 from plant.interface import JointSpace, Measurement, TissueMotion, Truth
-from plant.memory import HEART_JOINTS, memory
+from plant.memory import HEART_JOINTS, Memory, memory
 from plant.mjcf import SERVO_STIFFNESS, cell_mjcf
 from plant.own_arm import tool_arm
 from plant.playback import Programme, programme
@@ -26,7 +28,9 @@ from plant.posture import reach
 from plant.protection import Guard, close_brakes
 from plant.sensors import ForceSensor
 from plant.stepping import CompiledStepper, PythonStepper, Stepper
+from plant.tip_mass import TipMass
 from plant.tissue import contradiction, rest_displacement, sideways
+from plant.transport import Transport
 from plant.viper import HEART, VIPER_S650, FloatArray
 
 Axis = Literal["x", "y", "z"]
@@ -78,7 +82,8 @@ class Cell:
             UnreachableMotionError: Robot_Heart cannot play the motion.
             ArmError: Robot_Tool is an arm of one's own that cannot be used.
             PlantError: the contact contradicts itself, or is unilateral and cannot carry the force,
-                or stiffens with a beat that is not told; or the library is not what it should be.
+                or stiffens with a beat that is not told; imperfections do not fit the arm; or the
+                library is not what it should be.
         """
         self._load = np.asarray(force, dtype=np.float64)
         _check_start(config.contact, self._load)
@@ -88,19 +93,21 @@ class Cell:
         self.cycles = motion.position.shape[0]
         """How many cycles the motion lasts."""
         self._heart = heart or heart_programme(config, motion)
-        flaws = config.imperfections
+        flaws, timestep = config.imperfections, config.period / config.substeps
         tool = self._arm = tool or tool_arm(config)
         self.joints = tool.joints
         """How many joints the tool has."""
+        self._springs = _springs(flaws, tool, timestep)
         self.model = mujoco.MjModel.from_xml_string(
             cell_mjcf(
                 _heart_arm(),
                 tool,
-                timestep=config.period / config.substeps,
+                timestep=timestep,
                 stiffness=config.contact.stiffness,
                 damping=config.contact.damping,
                 friction=flaws.friction,
                 torque_lag=flaws.torque_lag,
+                springs=self._springs,
             )
         )
         self.data = mujoco.MjData(self.model)
@@ -122,24 +129,24 @@ class Cell:
         self._contact = Contact(block, self.model, data, config.contact)
         self._guard = Guard(config, block, (self.model, data), self._contact, (self._heart, tool))
         self._config = config.contact
-        self._stepper: Stepper = (
-            CompiledStepper(library, block, self.model, data)
-            if library
-            else PythonStepper(block, self.model, data, self._contact, self._guard)
-        )
+        self._stepper = self._steps(library, block, flaws)
         # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
         self._own = own = slice(HEART_JOINTS, HEART_JOINTS + tool.joints)
         self._joints = data.qpos[: own.stop]
         self._q, self._qdot = data.qpos[own], data.qvel[own]
+        self._motors = data.qpos[-tool.joints :]
         self._heart_ctrl, self._tool_ctrl = data.ctrl[:HEART_JOINTS], data.ctrl[own]
         self._surface = data.site("heart_surface").xpos
         self._force, self._read, self._tissue = np.zeros(3), np.zeros(3), np.zeros(3)
         self._angle = np.zeros(own.stop)
         self._torque, self._saturated = np.zeros(tool.joints), False
-        self._line: deque[tuple[FloatArray, FloatArray]] = deque()
+        self._joint_velocity = np.zeros(tool.joints)
+        self._line: Transport[tuple[FloatArray, FloatArray]] = Transport(
+            flaws.delay, flaws.delay_jitter, np.random.SeedSequence([seed, 2])
+        )
         self._follows = np.isin(np.arange(3), [_AXES.index(axis) for axis in axes])
         self._protection = config.protection
-        self._delay, self._resolution = flaws.delay, flaws.command_resolution
+        self._resolution = flaws.command_resolution
         if config.contact.gap > 0:
             self._place(motion.position[0] + [0.0, 0.0, config.contact.gap], np.zeros(3))
         else:
@@ -173,15 +180,19 @@ class Cell:
             UnstableSimulationError: force and arms have left what can be computed.
         """
         inner = self._inner
-        inner.observe(self._q, self._qdot)
+        inner.observe(self._encoders.angle, self._encoders.speed)
         self._contact.force(self._force)
         if not np.dot(self._force, self._force) < _ABSURD**2:  # NaN is not, either
             raise UnstableSimulationError(self._cycle * self.period)
-        reading = self._sensor.read(self._force)
+        felt = self._force
+        if self._tip_mass.mass:
+            felt = felt + self._tip_mass.force()
+        reading = self._sensor.read(felt)
         if not np.count_nonzero(np.isnan(reading)):
             self._read = reading  # the inner loop goes on with the last one there was
         self._tissue[:] = self._surface
         self._angle[:] = self._joints
+        self._joint_velocity[:] = self._qdot
         self._touching = self._contact.touching
         self._peak_read = float(self._peak)
         return Measurement(
@@ -218,8 +229,8 @@ class Cell:
             torque = np.minimum(np.maximum(wanted, -self._limit), self._limit)
             self._saturated = bool(np.count_nonzero(torque != wanted))
             self._torque = torque
-            self._line.append((torque, self._command * self._follows))
-            self._tool_ctrl[:], self._asked = self._line.popleft()
+            sent = torque, self._command * self._follows
+            self._tool_ctrl[:], self._asked = self._line.carry(self._cycle, sent)
         guard.expect(self._cycle, self._asked)
         np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
         self._peak[()] = 0.0
@@ -227,6 +238,33 @@ class Cell:
         self._stepper.advance()
         guard.notice()
         self._cycle += 1
+
+    def _steps(
+        self, library: ctypes.CDLL | None, block: Memory, flaws: ImperfectionConfig
+    ) -> Stepper:
+        """Make what goes on by a period, with what is imperfect at every physics step."""
+        data = self.data
+        self._friction = StribeckFriction(
+            block, data, self.model,
+            coulomb=flaws.friction * self._arm.coulomb,
+            excess=flaws.stribeck,
+            velocity=flaws.stribeck_velocity,
+        )  # fmt: skip
+        self._encoders = Encoders(block, data, flaws)
+        effector = self._arm.effector
+        carried = effector.inertia if effector is not None else None
+        self._tip_mass = TipMass(
+            block, self.model, data, flaws.tip_mass, carried.mass if carried else math.inf
+        )
+        if library:
+            return CompiledStepper(library, block, self.model, data)
+        between = [self._friction.renew] if self._friction.present else []
+        between += [] if self._encoders.exact else [self._encoders.read]
+        return PythonStepper(
+            block, self.model, data, self._contact, self._guard,
+            before=[self._tip_mass.remember] if flaws.tip_mass else [],
+            between=between,
+        )  # fmt: skip
 
     def _usable(self, command: FloatArray | None) -> bool:
         """Whether a command can be applied.
@@ -255,7 +293,7 @@ class Cell:
             self._torque,
             self._saturated,
             self._touching,
-            self._inner.qdot.copy(),
+            self._joint_velocity.copy(),
             self._angle.copy(),
             self._peak_read,
             self._guard.trip,
@@ -288,19 +326,38 @@ class Cell:
         # The heart's servos lean against the force to start with, else they give way at once.
         self._lean = -(load @ J[:, heart]) / SERVO_STIFFNESS
         self._heart_ctrl[:] = self._heart.ctrl[0] + self._lean
+        if self._springs is not None:
+            self._motors[:] = self._q
+        if self._friction.present:
+            self._friction.renew()
         mujoco.mj_step1(model, data)
         self._contact.begin(float(self._factor[0]))
+        # Torques that really hold the tool; the inner loop's own model may be wrong.
+        self._inner.observe(self._q, self._qdot)
+        self._contact.force(self._force)
+        self._torque = data.qfrc_bias[self._own] + self._inner.J[:3].T @ self._force
+        if self._springs is not None:
+            self._motors += self._torque / self._springs.stiffness  # wound up by them
+            mujoco.mj_step1(model, data)
+        self._encoders.begin()
+        self._tip_mass.begin()
         self._guard.begin()
         self._peak[()] = 0.0
         self.measure()
         self._inner.hold()
-        # Torques that really hold the tool; the inner loop's own model may be wrong.
-        self._torque = data.qfrc_bias[self._own] + self._inner.J[:3].T @ self._force
         self._tool_ctrl[:] = self._torque
         self._command, self._asked = np.zeros(3), np.zeros(3)
-        self._line = deque([(self._torque, self._asked)] * self._delay)
+        self._line.begin((self._torque, self._asked))
         if model.na:
             data.act[:] = self._torque
+
+
+def _springs(flaws: ImperfectionConfig, tool: Arm, timestep: float) -> JointSprings | None:
+    if flaws.joint_frequency == 0:
+        return None
+    return joint_springs(
+        tool, frequency=flaws.joint_frequency, damping=flaws.joint_damping, timestep=timestep
+    )
 
 
 def heart_programme(config: CellConfig, motion: TissueMotion) -> Programme:

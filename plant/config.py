@@ -108,6 +108,10 @@ class ToolConfig:
     """Joint speed over which the compensation of Coulomb friction changes sign [rad/s]."""
 
 
+RelativeError = Annotated[float, Gt(-1)]
+"""Of a model: 0.2 is 20 % too large [-]."""
+
+
 @dataclass(frozen=True)
 class ArmConfig:
     """An arm of one's own in the place of Robot_Tool, see ``docs/plant.md``.
@@ -146,20 +150,46 @@ class ArmConfig:
 
 @dataclass(frozen=True)
 class ImperfectionConfig:
-    """What separates Robot_Tool from its model."""
+    """What separates Robot_Tool from its model, see ``docs/plant.md``."""
 
-    inertia_error: Annotated[float, Gt(-1)] = 0.2
-    """Relative error of the masses, inertias and armatures in the model of the tool [-]."""
+    inertia_error: RelativeError | tuple[RelativeError, ...] = 0.2
+    """Relative error of the masses, inertias and armatures in the model of the tool: one for all,
+    or one for each link and, as the last, for what the flange carries; the armature of a joint goes
+    with its link [-]."""
     friction: Annotated[float, Ge(0)] = 1.0
     """Joint friction of both arms as a multiple of the identified one [-]."""
     friction_compensation: Annotated[float, Ge(0), Le(1)] = 0.8
-    """Share of the joint friction that the tool's inner loop compensates [-]."""
+    """Share of the joint friction that the tool's inner loop compensates; it knows nothing of
+    Stribeck friction [-]."""
+    stribeck: Annotated[float, Ge(0), Le(5)] = 0.0
+    """Stribeck friction of the tool: by which share of the Coulomb friction the friction at rest
+    exceeds it [-]."""
+    stribeck_velocity: Annotated[float, Gt(0), Le(10)] = 0.05
+    """Joint speed at which half of that excess is left [rad/s]."""
     torque_lag: Annotated[float, Ge(0), Lt(0.1)] = 0.001
     """Time constant of the first-order lag from torque command to torque [s]."""
+    torque_limit: Annotated[float, Gt(0), Le(1)] = 1.0
+    """Torque at which the tool's motors saturate, as a share of the rated one [-]."""
+    joint_frequency: Annotated[float, Ge(0), Le(200)] = 0.0
+    """Frequency of the first mode of the tool's flexible joints at home, with the motors held;
+    0: rigid joints [Hz]."""
+    joint_damping: Annotated[float, Ge(0), Le(1)] = 0.05
+    """Damping ratio of that mode [-]."""
+    encoder_resolution: Annotated[float, Ge(0), Le(0.1)] = 0.0
+    """The tool's joint angles are read as whole multiples of this, speeds as their difference over
+    a physics step; 0: as they are [rad]."""
+    velocity_filter: Annotated[float, Ge(0), Lt(0.1)] = 0.0
+    """Time constant of the first-order filter behind that difference; 0: no filter [s]."""
     delay: Annotated[int, Ge(0), Le(20)] = 1
     """Whole control cycles between a command and the torque that it causes [cycles]."""
+    delay_jitter: Annotated[float, Ge(0), Le(0.9)] = 0.0
+    """Probability that a command takes one cycle more than that; two more: its square, and so on.
+    None overtakes another; of two that arrive together the later one counts [-]."""
     command_resolution: Annotated[float, Ge(0), Lt(1)] = 0.001
     """Commands reach the inner loop as whole multiples of this [m/s^2]; 0: as they are."""
+    tip_mass: Annotated[float, Ge(0), Le(10)] = 0.0
+    """Part of the instrument's mass that is beyond the force sensor: its inertial force and the
+    change of its weight are read as contact force [kg]."""
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class Truth:
     touching: bool = True
     """Whether tool and tissue touch."""
     joint_velocity: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Speeds of the tool's joints, ``(n,)`` [rad/s]."""
+    """Speeds of the tool's joints, of the links where these are flexible, ``(n,)`` [rad/s]."""
     joint_angle: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
     """Angles of all joints, Robot_Heart's first, ``(6 + n,)`` [rad]; a single NaN where the plant
     does not tell: such a run cannot be drawn."""

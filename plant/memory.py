@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 _POINTERS = (
     "qpos", "qvel", "bias", "ctrl", "length", "speed", "law", "tip", "tip_frame", "surface_frame",
+    "motor", "motor_speed", "frictionloss",
 )  # fmt: skip
 """Arrays of MuJoCo's: joint angles and speeds, Coriolis and gravity torques, controls, lengths,
-speeds and coefficients of the contact actuators, poses of tool tip and tissue surface."""
+speeds and coefficients of the contact actuators, poses of tool tip and tissue surface; angles,
+speeds and friction limits of the tool's motors, which are its joints where these are rigid."""
 
 HEART_JOINTS = 6
 """Of Robot_Heart, which is a Viper; the tool's stand behind them."""
@@ -100,6 +102,18 @@ _MEMBERS: Any = (
         ("damp", np.float64),
         ("torque_limit", np.float64, _EACH),
         ("leash", np.float64),
+        # Stribeck friction, encoders, what the tip passed through
+        ("stribeck", np.int64),
+        ("encoded", np.int64),
+        ("heavy", np.int64),
+        ("coulomb", np.float64, _EACH),
+        ("excess", np.float64, _EACH),
+        ("stribeck_velocity", np.float64),
+        ("resolution", np.float64),
+        ("speed_share", np.float64),
+        ("encoder_angle", np.float64, _EACH),
+        ("encoder_speed", np.float64, _EACH),
+        ("tip_passed", np.float64, 6),
     ]
 )  # fmt: skip
 
@@ -139,6 +153,9 @@ def memory(model: Any, data: Any, joints: int) -> Memory:
         ("tip", data.site("tool_tip").xpos),
         ("tip_frame", data.site("tool_tip").xmat),
         ("surface_frame", data.site("heart_surface").xmat),
+        ("motor", data.qpos[-joints:]),
+        ("motor_speed", data.qvel[-joints:]),
+        ("frictionloss", model.dof_frictionloss[-joints:]),
     ):
         block[name] = array.ctypes.data
     block["law_stride"] = law.strides[0] // law.itemsize

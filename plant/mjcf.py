@@ -14,6 +14,11 @@ Joints 0 to 5 are the heart's, the n behind them the tool's. Actuators, in this 
 Equality constraints ``tool_brake1..n`` hold the tool's joints where ``eq_data`` says; not active
 until the cell closes the brakes.
 
+Flexible joints. Bodies ``tool_rotor1..n`` with joints of the same names, behind all others, then
+stand for the motors, one turn of theirs for one of the link. Tendons ``tool_spring1..n`` join them
+to the tool's joints. Armature, friction, actuators and brakes are theirs. They turn about an axis
+of the world: that a rotor is carried along by its link counts for nothing.
+
 Contact. The force that the tool exerts on the tissue is ``y = K (x_tool - x_tissue) + D (v_tool -
 v_tissue)``, so pressing down gives a negative y on z. The tool feels ``-y``, and this is what the
 contact actuators carry: a positive force on z means that the tissue pushes the tool up. As an
@@ -30,11 +35,13 @@ moment is lost; only a damping force across that line leaves one, of force times
 10 N (measured).
 """
 
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from plant.chain import TIP_NAME, Arm, Link, Solid
+from plant.flexibility import JointSprings
 from plant.viper import FloatArray
 
 SERVO_STIFFNESS = 40000.0
@@ -52,6 +59,7 @@ def cell_mjcf(
     damping: float,
     friction: float,
     torque_lag: float,
+    springs: JointSprings | None = None,
 ) -> str:
     """MJCF of the whole cell.
 
@@ -64,6 +72,7 @@ def cell_mjcf(
         friction: joint friction of both arms as a multiple of their own, 0 for none [-].
         torque_lag: time constant from torque command to torque of the tool's motors, 0 for
             none [s]. With a lag, the state of the motors is ``data.act``, shape (n,) [N m].
+        springs: of the tool's joints; None: rigid.
     """
     root = ET.Element("mujoco", model="pulsempc cell")
     _add(root, "compiler", angle="radian", autolimits="true")
@@ -76,8 +85,13 @@ def cell_mjcf(
     _add_looks(root)
     world = _add(root, "worldbody")
     _add_surroundings(world)
-    for arm in (heart, tool):
-        _add_arm(world, arm, timestep, friction)
+    motors = {arm.name: _motors(arm, timestep, friction) for arm in (heart, tool)}
+    motor = "tool_joint" if springs is None else "tool_rotor"
+    _add_arm(world, heart, motors["heart"])
+    _add_arm(world, tool, motors["tool"] if springs is None else [{}] * tool.joints)
+    if springs is not None:
+        _add_rotors(world, tool, motors["tool"])
+        _add_springs(root, springs)
     actuators = _add(root, "actuator")
     for i in range(1, heart.joints + 1):
         _add(
@@ -95,7 +109,7 @@ def cell_mjcf(
             actuators,
             "general",
             name=f"tool_motor{i}",
-            joint=f"tool_joint{i}",
+            joint=f"{motor}{i}",
             forcerange=(-limit, limit),
             **lag,
         )
@@ -117,7 +131,7 @@ def cell_mjcf(
             brakes,
             "joint",
             name=f"tool_brake{i}",
-            joint1=f"tool_joint{i}",
+            joint1=f"{motor}{i}",
             active="false",
             solref=(2.0 * timestep, 1.0),
             solimp=(0.9999, 0.9999, 0.001, 0.5, 2.0),
@@ -126,14 +140,15 @@ def cell_mjcf(
         _add(root, "keyframe"),
         "key",
         name="home",
-        qpos=np.concatenate([heart.home, tool.home]),
+        qpos=np.concatenate([heart.home, *[tool.home] * (1 if springs is None else 2)]),
         ctrl=np.concatenate([heart.home, np.zeros(tool.joints + 3)]),
     )
     ET.indent(root)
     return ET.tostring(root, encoding="unicode")
 
 
-def _add_arm(world: ET.Element, arm: Arm, timestep: float, friction: float) -> None:
+def _add_arm(world: ET.Element, arm: Arm, motors: Sequence[Mapping[str, object]]) -> None:
+    """Add an arm; ``motors`` are further attributes of its joints."""
     name = arm.name
     # The heart's servos only have to track: its weight is carried.
     extra = {"gravcomp": 1.0} if name == "heart" else {}
@@ -147,7 +162,7 @@ def _add_arm(world: ET.Element, arm: Arm, timestep: float, friction: float) -> N
             continue
         body = _add_body(body, f"{name}_link{j + 1}", placement, link, **extra)
         for i, frame in waiting:
-            joint = _joint(arm, i, timestep, friction)
+            joint = {**_joint(arm, i), **motors[i]}
             if i != j:
                 own = np.linalg.inv(placement) @ frame
                 joint |= {"pos": own[:3, 3], "axis": own[:3, 2]}
@@ -160,26 +175,59 @@ def _add_arm(world: ET.Element, arm: Arm, timestep: float, friction: float) -> N
     _add(body, "site", name=TIP_NAME[name], size=0.003, group=3, **_pose(arm.tip))
 
 
-def _joint(arm: Arm, j: int, timestep: float, friction: float) -> dict[str, object]:
-    """Return the attributes of an arm's joint ``j``, from 0."""
-    losses: dict[str, object] = {}
-    if friction > 0:
-        # MuJoCo's stiction is a strong damper: under half the Coulomb torque the tip creeps at
-        # 8 mm/s with its default reference and impedance, at 1 um/s with the shortest time
-        # constant that it accepts and this impedance, at the same cost.
-        losses = {
-            "frictionloss": friction * arm.coulomb[j],
-            "damping": friction * arm.viscous[j],
-            "solreffriction": (2.0 * timestep, 1.0),
-            "solimpfriction": (0.999, 0.999, 0.001),
-        }
+def _joint(arm: Arm, j: int) -> dict[str, object]:
+    """Return the attributes of an arm's joint ``j``, from 0, but for what its motor brings."""
     return {
         "name": f"{arm.name}_joint{j + 1}",
         **({"type": "slide"} if arm.links[j].slides else {}),
         "range": (arm.lower[j], arm.upper[j]),
-        "armature": arm.armature[j],
-        **losses,
     }
+
+
+def _motors(arm: Arm, timestep: float, friction: float) -> list[dict[str, object]]:
+    """Return what each motor brings to the joint that it moves: armature and friction."""
+    found: list[dict[str, object]] = []
+    for j in range(arm.joints):
+        losses: dict[str, object] = {}
+        if friction > 0:
+            # MuJoCo's stiction is a strong damper: under half the Coulomb torque the tip creeps at
+            # 8 mm/s with its default reference and impedance, at 1 um/s with the shortest time
+            # constant that it accepts and this impedance, at the same cost.
+            losses = {
+                "frictionloss": friction * arm.coulomb[j],
+                "damping": friction * arm.viscous[j],
+                "solreffriction": (2.0 * timestep, 1.0),
+                "solimpfriction": (0.999, 0.999, 0.001),
+            }
+        found.append({"armature": arm.armature[j], **losses})
+    return found
+
+
+def _add_rotors(world: ET.Element, arm: Arm, motors: Sequence[Mapping[str, object]]) -> None:
+    """Add the motors on their own, behind both arms, so that the joints' numbers stay."""
+    for i, motor in enumerate(motors, start=1):
+        place = arm.base.placement[:3, 3]
+        body = _add(world, "body", name=f"tool_rotor{i}", pos=place, gravcomp=1.0)
+        # MuJoCo wants a body to weigh something; what moves is the armature.
+        light = {"mass": 1e-6, "diaginertia": (1e-9, 1e-9, 1e-9)}
+        _add(body, "inertial", pos=(0.0, 0.0, 0.0), **light)
+        _add(body, "joint", name=f"tool_rotor{i}", axis=(0.0, 0.0, 1.0), **motor)
+
+
+def _add_springs(root: ET.Element, springs: JointSprings) -> None:
+    tendons = _add(root, "tendon")
+    both = zip(springs.stiffness.tolist(), springs.damping.tolist(), strict=True)
+    for i, (stiffness, damping) in enumerate(both, start=1):
+        tendon = _add(
+            tendons,
+            "fixed",
+            name=f"tool_spring{i}",
+            stiffness=stiffness,
+            damping=damping,
+            springlength=0.0,
+        )
+        _add(tendon, "joint", joint=f"tool_joint{i}", coef=1.0)
+        _add(tendon, "joint", joint=f"tool_rotor{i}", coef=-1.0)
 
 
 def _add_body(

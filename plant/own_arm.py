@@ -38,12 +38,14 @@ _WEIGHTLESS = 1e-9
 
 
 def tool_arm(config: CellConfig) -> Arm:
-    """Return Robot_Tool as a cell has it, where it stands.
+    """Return Robot_Tool as a cell has it, where it stands, with motors as weak as they are.
 
     Raises:
         ArmError: an arm of one's own cannot be used, and why.
     """
-    return _viper() if config.arm is None else own_arm(config.arm)
+    arm = _viper() if config.arm is None else own_arm(config.arm)
+    share = config.imperfections.torque_limit
+    return arm if share == 1.0 else replace(arm, torque_limit=share * arm.torque_limit)
 
 
 @cache

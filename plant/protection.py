@@ -22,8 +22,9 @@ import pinocchio as pin
 
 from plant.arm_model import build_arm_model
 from plant.chain import Arm
-from plant.config import CellConfig
+from plant.config import CellConfig, ImperfectionConfig
 from plant.contact import Contact
+from plant.errors import PlantError
 from plant.interface import Cause, Trip
 from plant.memory import HEART_JOINTS, Memory
 from plant.own_arm import tool_arm
@@ -97,7 +98,7 @@ class Guard:
         block["tracking_heart"] = own.tracking_heart
         inertia, reserve, _, _ = _strength(tool)
         block["stopping"] = np.diag(inertia) / (2.0 * _SAFETY * reserve)
-        block["reaction"] = step + 2.0 * lag
+        block["reaction"] = step + 2.0 * _lag(config.imperfections)
         damping = config.tool.velocity_damping
         block["decay"] = math.exp(-damping * step)
         block["gain"] = -math.expm1(-damping * step) / damping if damping > 0 else step
@@ -112,6 +113,7 @@ class Guard:
         self._heart, self._heart_step = block["heart"], block["heart_step"]
         self._own = own_joints = slice(HEART_JOINTS, HEART_JOINTS + tool.joints)
         self._q, self._speeds = data.qpos[own_joints], data.qvel[own_joints]
+        self._motor, self._motor_speeds = data.qpos[-tool.joints :], data.qvel[-tool.joints :]
         self._tip, self._frame = data.site("tool_tip").xpos, data.site("tool_tip").xmat
         self._surface = data.site("heart_surface")
         self._site = model.site("tool_tip").id
@@ -241,7 +243,7 @@ class Guard:
         stiff, damp, share = float(m["stiff"]), float(m["damp"]), 1.0
         ends = zip(m["goal_lower"].tolist(), m["goal_upper"].tolist(), strict=True)
         goals, paces = m["goal"].tolist(), m["goal_speed"].tolist()
-        states = zip(self._q.tolist(), self._speeds.tolist(), ends, strict=True)
+        states = zip(self._motor.tolist(), self._motor_speeds.tolist(), ends, strict=True)
         wanted = []
         for i, (q, speed, (low, high)) in enumerate(states):
             goal = goals[i] + paces[i] * timestep
@@ -270,7 +272,7 @@ class Guard:
         m["unilateral"] = m["renewed"] = 1
         m["normal"], m["tip_tripped"] = self._surface.xmat[2::3], self._tip
         m["depth"] = float(self._contact.depth)
-        m["goal"], m["goal_speed"] = self._q, 0.0
+        m["goal"], m["goal_speed"] = self._motor, 0.0
 
     def _aim(self) -> None:
         """Once a period: how fast each joint's goal moves, and whether the brakes can close."""
@@ -287,7 +289,7 @@ class Guard:
             self._arrived = done >= travel or rises < _STUCK * speed
         if self._arrived:
             pace[:] = 0.0
-            if np.abs(self._speeds).max() < _REST:
+            if np.abs(self._motor_speeds).max() < _REST:
                 self._mode[()] = BRAKED
                 close_brakes(self._model, self._data, self._q.size)
 
@@ -313,8 +315,8 @@ class Guard:
 
 
 def close_brakes(model: Any, data: Any, joints: int) -> None:
-    """Lock the tool's joints, of which there are so many, where they are."""
-    model.eq_data[:joints, 0] = data.qpos[HEART_JOINTS : HEART_JOINTS + joints]
+    """Lock the motors of the tool's joints, of which there are so many, where they are."""
+    model.eq_data[:joints, 0] = data.qpos[-joints:]
     data.eq_active[:joints] = True
 
 
@@ -342,10 +344,19 @@ def force_cap(config: CellConfig, tissue_speed: float, tool: Arm | None = None) 
     if not own.enabled:
         return math.inf
     _, _, hardest, braking = _strength(tool or tool_arm(config))
-    step, lag = config.period / config.substeps, config.imperfections.torque_lag
+    step, lag = config.period / config.substeps, _lag(config.imperfections)
     speed = own.tip_speed + hardest * step + (hardest + braking) * lag
     way = speed * step + speed**2 / (2.0 * braking) + tissue_speed * speed / braking
     return worst_force(contact, own.force, way, speed + tissue_speed)
+
+
+def _lag(flaws: ImperfectionConfig) -> float:
+    """Time that the torque at the links needs to turn round [s].
+
+    A spring between motor and link unwinds no faster than its mode swings.
+    """
+    swing = 1.0 / (2.0 * math.pi * flaws.joint_frequency) if flaws.joint_frequency > 0 else 0.0
+    return flaws.torque_lag + swing
 
 
 @lru_cache(maxsize=4)
@@ -355,13 +366,23 @@ def _strength(tool: Arm) -> tuple[FloatArray, FloatArray, float, float]:
     Returns the joint-space inertia ``(n, n)`` [kg m^2], the torque that gravity leaves to each
     joint ``(n,)`` [N m], the largest acceleration of the tip, and the smallest deceleration of a
     tip that moves without turning and is braked as `Guard.retract` brakes [m/s^2].
+
+    Raises:
+        PlantError: they do not bear the arm's weight.
     """
     arm, q = build_arm_model(tool), tool.home
     model, data = arm.model, arm.model.createData()
     inertia = np.triu(pin.crba(model, data, q))
     inertia = inertia + np.triu(inertia, 1).T
     limit = tool.torque_limit
-    reserve = limit - np.abs(pin.computeGeneralizedGravity(model, data, q))
+    weight = np.abs(pin.computeGeneralizedGravity(model, data, q))
+    reserve = limit - weight
+    worst = int(reserve.argmin())
+    if not reserve[worst] > 0.0:
+        raise PlantError(
+            f"torque_limit: joint {worst + 1} can give {limit[worst]:.3g} N m, which does not bear "
+            f"the arm's weight at home: {weight[worst]:.3g} N m"
+        )
     J = pin.computeFrameJacobian(model, data, q, arm.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     extremes = limit * np.array(list(product([-1.0, 1.0], repeat=tool.joints)))
     hardest = np.linalg.norm(extremes @ np.linalg.inv(inertia) @ J[:3].T, axis=1).max()

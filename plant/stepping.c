@@ -1,8 +1,9 @@
 /* One control period of the cell: physics steps, the contact's law, the guard.
 
-   The text is compiled behind the struct that plant/memory.py writes. It does what plant/contact.py
-   and plant/protection.py do, operation by operation, so that both give the same bits: no operation
-   may be reordered or fused here that is not there (-ffp-contract=off). */
+   The text is compiled behind the struct that plant/memory.py writes. It does what plant/contact.py,
+   plant/protection.py, plant/friction.py, plant/encoders.py and plant/tip_mass.py do, operation by
+   operation, so that both give the same bits: no operation may be reordered or fused here that is
+   not there (-ffp-contract=off). */
 
 enum { OFF, WATCHING, RETRACTING, BRAKED };
 enum { LINEAR, SOLID, DENTING };
@@ -205,7 +206,7 @@ static void trip(memory *m, int cause, int joint, double value, double limit) {
     m->tip_tripped[i] = m->tip[i];
   }
   for (int i = 0; i < JOINTS; i++) {
-    m->goal[i] = m->qpos[HEART_JOINTS + i];
+    m->goal[i] = m->motor[i];
     m->goal_speed[i] = 0.0;
   }
 }
@@ -250,7 +251,7 @@ static void watch(memory *m, int64_t step) {
 }
 
 static void retract(memory *m) {
-  const double *q = m->qpos + HEART_JOINTS, *speeds = m->qvel + HEART_JOINTS;
+  const double *q = m->motor, *speeds = m->motor_speed;
   double wanted[JOINTS], torque[JOINTS], share = 1.0;
   for (int i = 0; i < JOINTS; i++) {
     double goal = m->goal[i] + m->goal_speed[i] * m->timestep;
@@ -271,9 +272,36 @@ static void retract(memory *m) {
   for (int i = 0; i < JOINTS; i++) m->ctrl[i] = m->bias[i] + share * torque[i];
 }
 
+static void renew_friction(memory *m) {
+  for (int i = 0; i < JOINTS; i++) {
+    double share = m->motor_speed[i] / m->stribeck_velocity;
+    m->frictionloss[i] = m->coulomb[i] + m->excess[i] / (1.0 + share * share);
+  }
+}
+
+static void read_encoders(memory *m) {
+  for (int i = 0; i < JOINTS; i++) {
+    double angle = m->motor[i];
+    if (m->resolution != 0.0) angle = rint(angle / m->resolution) * m->resolution;
+    double slope = (angle - m->encoder_angle[i]) / m->timestep;
+    m->encoder_speed[i] += m->speed_share * (slope - m->encoder_speed[i]);
+    m->encoder_angle[i] = angle;
+  }
+}
+
+static void remember_tip(memory *m) {
+  for (int i = 0; i < 3; i++) {
+    m->tip_passed[3 + i] = m->tip_passed[i];
+    m->tip_passed[i] = m->tip[i];
+  }
+}
+
 void advance(memory *m, mujoco_step step1, mujoco_step step2, const void *model, void *data) {
   for (int64_t i = 0; i < m->substeps; i++) {
+    if (m->heavy) remember_tip(m);
     step2(model, data);
+    if (m->stribeck) renew_friction(m);
+    if (m->encoded) read_encoders(m);
     step1(model, data);
     if (m->renewed) follow(m, 1);
     double force = force_size(m);

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -24,6 +25,9 @@ FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off")
 Python computes."""
 
 
+Act = Callable[[], None]
+
+
 class Stepper(Protocol):
     """Brings the physics to the next control instant."""
 
@@ -36,9 +40,26 @@ class PythonStepper:
     """The loop over the physics steps of a period: the reference."""
 
     def __init__(
-        self, block: Memory, model: Any, data: Any, contact: Contact, guard: Guard
+        self,
+        block: Memory,
+        model: Any,
+        data: Any,
+        contact: Contact,
+        guard: Guard,
+        *,
+        before: Sequence[Act] = (),
+        between: Sequence[Act] = (),
     ) -> None:
+        """Prepare.
+
+        Args:
+            block, model, data, contact, guard: of the cell.
+            before: what is done before each physics step.
+            between: what is done when a step has brought new angles and speeds, before anything
+                is derived from them.
+        """
         self._model, self._data, self._contact, self._guard = model, data, contact, guard
+        self._before, self._between = before, between
         self._substeps = int(block["substeps"])
         self._mode, self._peak, self._renewed = block["mode"], block["peak"], block["renewed"]
 
@@ -46,7 +67,11 @@ class PythonStepper:
         """Go on by one period."""
         contact, guard, mode = self._contact, self._guard, self._mode
         for step in range(1, self._substeps + 1):
+            for act in self._before:
+                act()
             mujoco.mj_step2(self._model, self._data)
+            for act in self._between:
+                act()
             # Positions and velocities of the new instant: what mj_step leaves is a step old.
             mujoco.mj_step1(self._model, self._data)
             if self._renewed:

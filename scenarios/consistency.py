@@ -5,6 +5,7 @@ from dataclasses import is_dataclass
 from typing import get_args
 
 from plant.tissue import contradiction
+from plant.viper import TOOL, VIPER_S650
 from qpmpc.config import INFINITE, Band, Interval, PerAxis, SoftBoundName
 from scenarios.config import AxesChange, Scenario, SetpointConfig
 from scenarios.errors import ScenarioKeyError
@@ -52,6 +53,7 @@ def check_consistent(scenario: Scenario, source: str) -> None:
             raise ScenarioKeyError(source, place, "must be in the order of their times")
     _check_protection(scenario, source)
     _check_one_setpoint(scenario, source)
+    _check_imperfections(scenario, source)
     _check_contact(scenario, source)
     _check_approach(scenario, source)
 
@@ -104,6 +106,27 @@ def _check_one_setpoint(scenario: Scenario, source: str) -> None:
     for axis in scenario.axes:
         if getattr(setpoint, axis) != getattr(default, axis):
             raise ScenarioKeyError(source, f"setpoint.{axis}", "no effect beside setpoint.file")
+
+
+def _check_imperfections(scenario: Scenario, source: str) -> None:
+    """Check that what is wrong with the tool fits the tool there is."""
+    flaws, place = scenario.cell.imperfections, "cell.imperfections"
+    if scenario.cell.arm is not None:
+        return  # told when the arm is read
+    links, carried = len(VIPER_S650.link_mass.si) - 1, float(TOOL.effector.mass.si)
+    if isinstance(flaws.inertia_error, tuple) and len(flaws.inertia_error) != links + 1:
+        raise ScenarioKeyError(
+            source,
+            f"{place}.inertia_error",
+            f"must be one value, or {links + 1}: one for each link and one for what the flange "
+            f"carries, got {len(flaws.inertia_error)}",
+        )
+    if flaws.tip_mass > carried:
+        raise ScenarioKeyError(
+            source,
+            f"{place}.tip_mass",
+            f"{flaws.tip_mass:g} kg exceed the instrument's {carried:g} kg",
+        )
 
 
 def band(value: Band | AxesChange, axis: str) -> Interval:
