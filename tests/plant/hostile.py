@@ -171,6 +171,28 @@ def some_config(rng: np.random.Generator) -> CellConfig:
     )
 
 
+def flawed_config(rng: np.random.Generator) -> CellConfig:
+    """Some cell, and every imperfection that there is, each in half of them."""
+    config = some_config(rng)
+
+    def now_and_then(low: float, high: float, otherwise: float = 0.0) -> float:
+        return float(rng.uniform(low, high)) if rng.random() < 0.5 else otherwise
+
+    flaws = replace(
+        config.imperfections,
+        inertia_error=tuple(rng.uniform(-0.3, 0.4, 7).tolist()),
+        stribeck=now_and_then(0.0, 0.5),
+        torque_limit=now_and_then(0.5, 1.0, 1.0),
+        joint_frequency=now_and_then(12.0, 60.0),
+        joint_damping=float(rng.uniform(0.02, 0.1)),
+        encoder_resolution=now_and_then(1e-7, 1e-5),
+        velocity_filter=now_and_then(0.0, 0.002),
+        delay_jitter=now_and_then(0.0, 0.3),
+        tip_mass=now_and_then(0.0, 0.05),
+    )
+    return replace(config, imperfections=flaws)
+
+
 @dataclass
 class Worst:
     """What came nearest to breaking a promise, over many sequences."""
@@ -187,9 +209,14 @@ class Ring:
     """One cell in which controllers are let loose, one after the other."""
 
     def __init__(
-        self, rng: np.random.Generator, cycles: int, library: Any, arm: ArmConfig | None
+        self,
+        rng: np.random.Generator,
+        cycles: int,
+        library: Any,
+        arm: ArmConfig | None,
+        config: Callable[[np.random.Generator], CellConfig] = some_config,
     ) -> None:
-        self.config = replace(some_config(rng), arm=arm)
+        self.config = replace(config(rng), arm=arm)
         self.tool = tool_arm(self.config)
         self.motion = beating(rng, cycles)
         self.rng = rng
@@ -221,7 +248,7 @@ class Ring:
         previous, seen, trip = False, 0, None
         for k in range(cell.cycles):
             measurement, truth = cell.measure(), cell.truth()
-            q = cell.data.qpos[6:]
+            q = cell.data.qpos[6 : 6 + cell.joints]
             room = min(float((q - self.tool.lower).min()), float((self.tool.upper - q).min()))
             assert room > 0.0, f"joint out of range at {k}: {np.rad2deg(q)}"
             assert truth.force_peak <= self.cap, f"{truth.force_peak} N at {k}, cap {self.cap}"
@@ -252,8 +279,8 @@ class Ring:
 def exceeded(cell: Cell, ring: Ring, force: Array) -> list[str]:
     """Limits that the state of this instant exceeds, by quantities of MuJoCo's own."""
     own, found = ring.config.protection, []
-    data, model = cell.data, cell.model
-    q, speeds = data.qpos[6:], data.qvel[6:]
+    data, model, joints = cell.data, cell.model, slice(6, 6 + cell.joints)
+    q, speeds = data.qpos[joints], data.qvel[joints]
     twist = np.zeros(6)
     site = model.site("tool_tip").id
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, twist, 0)
@@ -275,6 +302,8 @@ def rings(
     cycles: int,
     library: Any,
     arm: ArmConfig | None = None,
+    *,
+    config: Callable[[np.random.Generator], CellConfig] = some_config,
 ) -> Iterator[Ring]:
     for stream in np.random.SeedSequence(seed).spawn(count):
-        yield Ring(np.random.default_rng(stream), cycles, library, arm)
+        yield Ring(np.random.default_rng(stream), cycles, library, arm, config)

@@ -327,8 +327,15 @@ BASE = {
     "spike_size": {"spike_rate": 150.0},
     "dropout_rate": {"dropout_rate": 100.0, "dropout_time": 0.002},
     "dropout_time": {"dropout_rate": 100.0, "dropout_time": 0.01},
+    "stribeck_velocity": {"stribeck": 0.5},
+    "torque_limit": {"torque_limit": 0.2},
+    "joint_frequency": {"joint_frequency": 20.0},
+    "joint_damping": {"joint_frequency": 20.0},
+    "delay_jitter": {"delay_jitter": 0.5},
+    "tip_mass": {"tip_mass": 0.05},
 }
-"""Where a field needs more than the default for its effect: here the tool lifts off."""
+"""Where a field needs more than the default for its effect, or has an end: here the tool lifts off,
+there its motors saturate."""
 
 
 CALM = [
