@@ -248,7 +248,7 @@ class Cell:
             block, data, self.model,
             coulomb=flaws.friction * self._arm.coulomb,
             excess=flaws.stribeck,
-            velocity=flaws.stribeck_velocity,
+            velocity=flaws.stribeck_speed,
         )  # fmt: skip
         self._encoders = Encoders(block, data, flaws)
         effector = self._arm.effector

@@ -164,7 +164,7 @@ class ImperfectionConfig:
     stribeck: Annotated[float, Ge(0), Le(5)] = 0.0
     """Stribeck friction of the tool: by which share of the Coulomb friction the friction at rest
     exceeds it [-]."""
-    stribeck_velocity: Annotated[float, Gt(0), Le(10)] = 0.05
+    stribeck_speed: Annotated[float, Gt(0), Le(10)] = 0.05
     """Joint speed at which half of that excess is left [rad/s]."""
     torque_lag: Annotated[float, Ge(0), Lt(0.1)] = 0.001
     """Time constant of the first-order lag from torque command to torque [s]."""

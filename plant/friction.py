@@ -39,7 +39,7 @@ class StribeckFriction:
         """Whether there is any, and `renew` is needed."""
         block["stribeck"] = self.present
         block["coulomb"], block["excess"] = coulomb, excess * coulomb
-        block["stribeck_velocity"] = velocity
+        block["stribeck_speed"] = velocity
         self._coulomb, self._excess, self._velocity = coulomb, excess * coulomb, velocity
         n = coulomb.size
         self._speeds, self._limits = data.qvel[-n:], model.dof_frictionloss[-n:]

@@ -108,7 +108,7 @@ _MEMBERS: Any = (
         ("heavy", np.int64),
         ("coulomb", np.float64, _EACH),
         ("excess", np.float64, _EACH),
-        ("stribeck_velocity", np.float64),
+        ("stribeck_speed", np.float64),
         ("resolution", np.float64),
         ("speed_share", np.float64),
         ("encoder_angle", np.float64, _EACH),

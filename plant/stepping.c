@@ -274,7 +274,7 @@ static void retract(memory *m) {
 
 static void renew_friction(memory *m) {
   for (int i = 0; i < JOINTS; i++) {
-    double share = m->motor_speed[i] / m->stribeck_velocity;
+    double share = m->motor_speed[i] / m->stribeck_speed;
     m->frictionloss[i] = m->coulomb[i] + m->excess[i] / (1.0 + share * share);
   }
 }

@@ -327,7 +327,7 @@ BASE = {
     "spike_size": {"spike_rate": 150.0},
     "dropout_rate": {"dropout_rate": 100.0, "dropout_time": 0.002},
     "dropout_time": {"dropout_rate": 100.0, "dropout_time": 0.01},
-    "stribeck_velocity": {"stribeck": 0.5},
+    "stribeck_speed": {"stribeck": 0.5},
     "torque_limit": {"torque_limit": 0.2},
     "joint_frequency": {"joint_frequency": 20.0},
     "joint_damping": {"joint_frequency": 20.0},

@@ -20,6 +20,8 @@ from plant.transport import Transport
 from plant.viper import TOOL, VIPER_S650
 from scenarios.physics import physics_loop
 
+from . import arm_files
+
 PERIOD, STEP = 1e-3, 1.25e-4
 COULOMB, VISCOUS = VIPER_S650.coulomb_friction.si, VIPER_S650.viscous_friction.si
 RATED = VIPER_S650.torque_limit.si
@@ -158,17 +160,17 @@ def friction_at(cell, joint: int, speed: float) -> float:
     [
         {},
         {"friction": 0.5},
-        {"stribeck": 0.3, "stribeck_velocity": 0.02},
+        {"stribeck": 0.3, "stribeck_speed": 0.02},
         {"stribeck": 0.3, "joint_frequency": 40.0, "joint_damping": 0.5},
     ],
     ids=str,
 )
 def test_the_friction_curve_is_the_identified_one(changes, free_cell):
     """That of the sister robot, with the Stribeck peak where there is one."""
-    flaws = {"friction": 1.0, "stribeck": 0.0, "stribeck_velocity": 0.05} | changes
+    flaws = {"friction": 1.0, "stribeck": 0.0, "stribeck_speed": 0.05} | changes
     near = 4e-3 if "joint_frequency" in changes else 1e-3  # links swing a little along the way
     cell = free_cell(**flaws)
-    share, peak, slow = (flaws[n] for n in ("friction", "stribeck", "stribeck_velocity"))
+    share, peak, slow = (flaws[n] for n in ("friction", "stribeck", "stribeck_speed"))
     for joint in range(6):
         for speed in SPEEDS:
             expected = VISCOUS[joint] * speed
@@ -621,7 +623,7 @@ EVERYTHING = {
 def test_everything_is_on():
     keys = {f.name for f in fields(ImperfectionConfig)}
     usual = {"friction", "friction_compensation", "torque_lag", "delay", "command_resolution"}
-    assert keys == usual | set(EVERYTHING) | {"stribeck_velocity", "joint_damping"}
+    assert keys == usual | set(EVERYTHING) | {"stribeck_speed", "joint_damping"}
 
 
 @pytest.mark.parametrize("left_out", [None, *EVERYTHING])
@@ -673,3 +675,24 @@ def test_a_new_start_forgets_the_run_before(realistic, make_cell, beating, drive
     cell.move_tool(place)
     assert np.array_equal(cell.model.dof_frictionloss, limits)
     assert drive(cell, 2.0, cycles=50).equals(fresh)
+
+
+def test_an_arm_of_seven_joints_has_them_too(realistic, make_cell, beating):
+    """All of them, the same bits in both loops; its first mode is the one that is told."""
+    flaws = EVERYTHING | {"inertia_error": (0.2,) * 7 + (0.4,), "torque_limit": 0.9}
+    config = realistic(**flaws, arm=arm_files.PANDA)
+    library, runs = physics_loop(7).library, []
+    for which in (None, library) if library else (None,):
+        cell, rows = make_cell(config, beating(60), library=which), []
+        for k in range(60):
+            measured = cell.measure()
+            rows.append([*cell.data.qpos, *cell.data.qvel, *measured.velocity, *measured.force])
+            cell.apply(np.array([4.0, -3.0, 5.0]) * np.cos(0.15 * k))
+        runs.append(np.array(rows))
+    assert np.array_equal(runs[0], runs[-1])
+    still = make_cell(config, beating(2))
+    still.data.qpos[6:13] = still._arm.home
+    mujoco.mj_forward(still.model, still.data)
+    links = inertia_of(still)[6:13, 6:13]
+    lowest = eigh(np.diag(still.model.tendon_stiffness), links, eigvals_only=True)[0]
+    assert np.sqrt(lowest) / (2 * np.pi) == pytest.approx(20.0, rel=1e-9)

@@ -48,8 +48,8 @@ def error(run) -> np.ndarray:
 def test_it_has_everything_but_flexible_joints():
     for f in fields(HARSH):
         off = getattr(HARSH, f.name) == getattr(OFF, f.name)
-        assert off == (f.name in ("joint_frequency", "joint_damping", "stribeck_velocity")), f.name
-    without = {"friction_compensation", "joint_frequency", "joint_damping", "stribeck_velocity"}
+        assert off == (f.name in ("joint_frequency", "joint_damping", "stribeck_speed")), f.name
+    without = {"friction_compensation", "joint_frequency", "joint_damping", "stribeck_speed"}
     assert set(PARTS) == {f.name for f in fields(HARSH)} - without - {"delay", "torque_lag"}
 
 

@@ -284,7 +284,7 @@ FLAWS = {
     "friction": ("1.0",),
     "friction_compensation": ("0.5", "friction=1.0"),
     "stribeck": ("0.5", "friction=1.0"),
-    "stribeck_velocity": ("0.5", "friction=1.0", "stribeck=0.5"),
+    "stribeck_speed": ("0.5", "friction=1.0", "stribeck=0.5"),
     "torque_lag": ("0.001",),
     "torque_limit": ("0.2",),
     "joint_frequency": ("80.0",),

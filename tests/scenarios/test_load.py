@@ -25,7 +25,8 @@ from scenarios import (
 from scenarios.motion import MotionConfig
 
 NAMES = (
-    "constrained", "ecg", "harsh", "ideal", "latency", "other-arm", "paper", "paper-1d", "paper-law",
+    "constrained", "ecg", "harsh", "ideal", "latency", "other-arm", "paper", "paper-1d",
+    "paper-law",
 )  # fmt: skip
 
 
@@ -62,7 +63,7 @@ def test_the_scenarios_are_what_they_say():
     assert (one.axes, one.motion.axes) == (("z",), ("z",))
     flaws = ideal.cell.imperfections
     assert ideal.cell.sensor.model == "ideal"
-    sizes = {"torque_limit": 1.0, "stribeck_velocity": 0.05, "joint_damping": 0.05}
+    sizes = {"torque_limit": 1.0, "stribeck_speed": 0.05, "joint_damping": 0.05}
     for f in fields(flaws):  # off, or of no effect without what is off
         assert getattr(flaws, f.name) == sizes.get(f.name, 0), f.name
     assert law.controller.observer.disturbance == "none"
@@ -230,7 +231,7 @@ WRONG = [
         "cell.imperfections.inertia_error.1",
     ),
     ("cell.imperfections.stribeck = -0.1", "cell.imperfections.stribeck"),
-    ("cell.imperfections.stribeck_velocity = 0.0", "cell.imperfections.stribeck_velocity"),
+    ("cell.imperfections.stribeck_speed = 0.0", "cell.imperfections.stribeck_speed"),
     ("cell.imperfections.torque_limit = 0.0", "cell.imperfections.torque_limit"),
     ("cell.imperfections.torque_limit = 1.5", "cell.imperfections.torque_limit"),
     ("cell.imperfections.joint_frequency = -20.0", "cell.imperfections.joint_frequency"),
