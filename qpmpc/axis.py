@@ -31,6 +31,10 @@ class AxisModel:
     """Covariance of the states' unmodelled change per cycle, ``(n, n)``."""
     measurement_noise: Array
     """Covariance of what is measured, ``(n_measured, n_measured)``."""
+    prior: Array
+    """Standard deviation of each state as known beforehand, infinite where not known, ``(n,)``."""
+    gate: Array
+    """How far each measurement may be off in standard deviations, ``(n_measured,)``."""
     quantities: tuple[Quantity, ...]
     """What each state is, ``n`` names."""
 
@@ -68,22 +72,26 @@ def axis_model(
     quantities += ["velocity"] * (from_force and tool_velocity)
     quantities += ["acceleration"] * ((model.lag > 0) + model.delay)
     n = augmented.n_states
-    noise = np.zeros(n)
+    noise, prior = np.zeros(n), np.full(n, np.inf)
     noise[0] = _UNMODELLED_FORCE
     if kind == "none":
         noise[:2] = _TAKEN_AS_MEASURED
     elif kind == "constant":
         augmented = with_disturbance(augmented, contact.load, constant())
-        noise = np.append(noise, observer.input_drift)
+        noise, prior = np.append(noise, observer.input_drift), np.append(prior, np.inf)
         quantities += ["acceleration"]
     elif kind == "ramp":
         augmented = with_disturbance(augmented, contact.load, ramp(period))
         noise = np.append(noise, [0.0, observer.input_slope_drift])
+        prior = np.append(prior, [np.inf, observer.tissue_jerk])
         quantities += ["acceleration", "jerk"]
     else:
         augmented = with_disturbance(augmented, contact.tissue, parabola(period))
         augmented = with_disturbance(augmented, contact.load, constant())
         noise = np.append(noise, [0.0, 0.0, observer.tissue_jerk_drift, observer.input_drift])
+        prior = np.append(
+            prior, [np.inf, observer.tissue_acceleration, observer.tissue_jerk, np.inf]
+        )
         quantities += ["velocity", "acceleration", "jerk", "acceleration"]
     force, velocity = augmented.C, _widened(contact.velocity, augmented.n_states)
     uses_velocity = tool_velocity or not from_force
@@ -96,6 +104,8 @@ def axis_model(
         np.vstack([force, velocity][: 1 + uses_velocity]),
         np.diag(noise**2),
         np.diag(np.square(sensors)),
+        prior,
+        np.array([observer.force_gate, np.inf][: 1 + uses_velocity]),
         tuple(quantities),
     )
 

@@ -52,6 +52,17 @@ class ObserverConfig:
     """``ramp``: change per cycle of the disturbance's slope [m/s^3], standard deviation."""
     tissue_jerk_drift: Annotated[float, Gt(0)] = 100.0
     """``fused``: change per cycle of the tissue's jerk [m/s^3], standard deviation."""
+    tissue_acceleration: Annotated[float, Gt(0)] = 1.5
+    """``fused``: what the tissue's acceleration is known to be beforehand, standard deviation around
+    0 [m/s^2]; used where the force goes missing."""
+    tissue_jerk: Annotated[float, Gt(0)] = 60.0
+    """``fused``, ``ramp``: the same of its jerk [m/s^3]."""
+    patience: Annotated[float, Ge(0), Le(10)] = 0.03
+    """How long force or velocity may be missing and the estimate still be what is decided on [s];
+    then the last plan goes on and the command is held until all is measured again."""
+    force_gate: Annotated[float, Gt(0)] = INFINITE
+    """Standard deviations by which a measured force may be off what is expected; one that is
+    further off is not used, three times in a row at most. Infinite: all are used."""
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,9 @@ class ForceController:
             block_diag(*[axis.measured] * count),
             block_diag(*[axis.process_noise] * count),
             block_diag(*[axis.measurement_noise] * count),
+            patience=round(config.observer.patience / period),
+            gate=np.tile(axis.gate, count),
+            prior=np.tile(axis.prior, count),
         )
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
         self.ranges = self._ranges(config, axis.quantities, period)

@@ -1,0 +1,221 @@
+"""Kalman filters in their steady state, and what an estimate is worth when measurements are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, solve_discrete_are, solve_discrete_lyapunov
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from qpmpc.arrays import Array, Indices
+from qpmpc.errors import ObserverError
+
+
+@dataclass(frozen=True, eq=False)
+class Subsystem:
+    """States and measurements that nothing couples to others, in scaled units.
+
+    Forces in N, accelerations of tens of m/s^2 and noise of micrometres per second meet here:
+    states and measurements are scaled to unit noise gains before anything is solved for.
+    """
+
+    states: Indices
+    """Which states of the whole."""
+    rows: Indices
+    """Which measured rows of the whole."""
+    state_scale: Array
+    """What a state is multiplied by, ``(n,)``."""
+    row_scale: Array
+    """What a measurement is multiplied by, ``(m,)``."""
+    A: Array
+    C: Array
+    W: Array
+    V: Array
+    """Model and noise, scaled."""
+    P: Array
+    """Covariance of the estimate after the measurement, in the steady state, ``(n, n)``."""
+    L: Array
+    """Filter gain of the steady state, ``(n, m)``."""
+
+    @cached_property
+    def deviation(self) -> Array:
+        """Standard deviation of the innovation in the steady state, scaled, ``(m,)``."""
+        S = self.C @ (self.A @ self.P @ self.A.T + self.W) @ self.C.T + self.V
+        return np.asarray(np.sqrt(np.diag(S)))
+
+
+def subsystems(A: Array, C: Array, W: Array, V: Array) -> list[Subsystem]:
+    """Split an observer into what nothing couples, and solve each.
+
+    Axes then do not leak into each other by rounding.
+
+    Args:
+        A: state matrix, ``(n, n)``.
+        C: measured rows, ``(n_measured, n)``.
+        W, V: covariance of process and measurement noise.
+
+    Raises:
+        ObserverError: there is no stabilising solution: what is measured does not tell some state
+            that does not decay by itself.
+    """
+    n = A.shape[0]
+    links = np.block([[A, C.T], [C, V]]) != 0
+    links[:n, :n] |= W != 0
+    count, label = connected_components(csr_matrix(links), directed=False)
+    found = []
+    for i in range(count):
+        x, y = np.flatnonzero(label[:n] == i), np.flatnonzero(label[n:] == i)
+        if x.size:
+            own = np.ix_(x, x)
+            found.append(_solved(x, y, A[own], C[np.ix_(y, x)], W[own], V[np.ix_(y, y)]))
+    return found
+
+
+def kalman_gain(A: Array, C: Array, W: Array, V: Array) -> Array:
+    """Return the filter gain L of the steady-state Kalman observer, ``(n, n_measured)``.
+
+    ``x(k|k) = x(k|k-1) + L (y(k) - C x(k|k-1))`` with L from the discrete algebraic Riccati
+    equation for process noise W ``(n, n)`` and measurement noise V ``(n_measured, n_measured)``.
+
+    Raises:
+        ObserverError: see `subsystems`.
+    """
+    return joined(subsystems(A, C, W, V), C.shape)
+
+
+def joined(parts: Sequence[Subsystem], shape: tuple[int, ...]) -> Array:
+    """Return the gain of the whole in its own units, for C of ``shape`` (n_measured, n)."""
+    L = np.zeros(shape[::-1])
+    for part in parts:
+        L[np.ix_(part.states, part.rows)] = part.L / part.state_scale[:, None] * part.row_scale
+    return L
+
+
+def _solved(x: Indices, y: Indices, A: Array, C: Array, W: Array, V: Array) -> Subsystem:
+    row_scale = 1.0 / np.sqrt(np.diag(V))
+    state_scale = _state_scale(A, row_scale[:, None] * C)
+    A_s = state_scale[:, None] * A / state_scale
+    C_s = row_scale[:, None] * C / state_scale
+    W_s = state_scale[:, None] * W * state_scale
+    V_s = row_scale[:, None] * V * row_scale
+    if not y.size:
+        _require_stable(A)
+        P, L = _at_rest(A_s, W_s), np.zeros((x.size, 0))
+    else:
+        try:
+            P = solve_discrete_are(A_s.T, C_s.T, W_s, V_s)
+        except (LinAlgError, ValueError) as error:
+            raise ObserverError(
+                f"no steady-state observer: the measured outputs do not determine every state "
+                f"({error})"
+            ) from error
+        L = np.linalg.solve(C_s @ P @ C_s.T + V_s, C_s @ P).T
+        _require_stable((np.eye(x.size) - L @ C_s) @ A_s)
+        P = updated(P, L, C_s, V_s)
+    return Subsystem(x, y, state_scale, row_scale, A_s, C_s, W_s, V_s, P, L)
+
+
+def updated(P: Array, L: Array, C: Array, V: Array) -> Array:
+    """Return the covariance after a measurement with any gain L (Joseph's form, symmetric)."""
+    rest = np.eye(P.shape[0]) - L @ C
+    return np.asarray(rest @ P @ rest.T + L @ V @ L.T)
+
+
+def _at_rest(A: Array, W: Array) -> Array:
+    """Return the covariance of a stable system that nothing measures."""
+    return np.asarray(solve_discrete_lyapunov(A, W))
+
+
+def _require_stable(closed: Array) -> None:
+    radius = np.abs(np.linalg.eigvals(closed)).max()
+    if not radius < 1.0:
+        raise ObserverError(f"no stable observer: its slowest pole would lie at {radius:.6f}")
+
+
+def _state_scale(A: Array, C: Array) -> Array:
+    """Largest effect of each state on the weighted outputs over the first steps."""
+    effect = np.zeros(A.shape[0])
+    power = C
+    for _ in range(2 * A.shape[0]):
+        effect = np.maximum(effect, np.abs(power).max(axis=0, initial=0.0))
+        power = power @ A
+    return np.where(effect > 0, effect, 1.0)
+
+
+class Varying:
+    """A subsystem whose measurements may be missing: covariance and gain, from cycle to cycle."""
+
+    def __init__(self, part: Subsystem, prior: Array) -> None:
+        """Begin in the steady state.
+
+        Args:
+            part: see there.
+            prior: standard deviation of each state as it is known beforehand, around 0, in its own
+                unit, ``(n,)``; infinite: nothing is known.
+        """
+        self.part = part
+        known = np.flatnonzero(np.isfinite(prior))
+        self.prior = np.eye(part.P.shape[0])[known], np.diag((prior * part.state_scale)[known] ** 2)
+        """What is known beforehand, as a measurement of 0: rows and covariance."""
+        self.P = part.P.copy()
+        """Covariance after the last measurement, scaled, ``(n, n)``."""
+        self.settled = True
+        """Whether it is that of the steady state."""
+        before = part.A @ part.P @ part.A.T + part.W
+        self._unknown = _UNKNOWN * max(1.0, np.abs(before).max())
+
+    def reset(self) -> None:
+        """Begin anew in the steady state."""
+        self.P[:] = self.part.P
+        self.settled = True
+
+    def recall(self) -> Array:
+        """Bring in what is known beforehand; return the map of the estimate, scaled, ``(n, n)``.
+
+        The steady state makes no use of it: there, measurements tell more. It is brought in once,
+        where they begin to fail.
+        """
+        C, V = self.prior
+        L = np.linalg.solve(C @ self.P @ C.T + V, C @ self.P).T
+        self.P[:] = updated(self.P, L, C, V)
+        return np.eye(self.P.shape[0]) - L @ C
+
+    def advance(self) -> None:
+        """Go on by one cycle without a measurement; stop where nothing is known any more."""
+        part = self.part
+        P = part.A @ self.P @ part.A.T + part.W
+        if np.abs(P).max() <= self._unknown:
+            self.P[:] = P
+        self.settled = False
+
+    def deviation(self) -> Array:
+        """Return the standard deviation of the innovations after `advance`, scaled, ``(m,)``."""
+        part = self.part
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", part.C, self.P, part.C) + np.diag(part.V)))
+
+    def gain(self, seen: NDArray[np.bool_]) -> Array:
+        """Take a measurement of the rows that are ``seen (m,)``, after `advance`.
+
+        Returns:
+            The gain that is right for it, scaled, ``(n, m)``; columns of the others are zero.
+        """
+        part = self.part
+        L = np.zeros_like(part.L)
+        if seen.any():
+            C, V = part.C[seen], part.V[np.ix_(seen, seen)]
+            L[:, seen] = np.linalg.solve(C @ self.P @ C.T + V, C @ self.P).T
+            self.P[:] = updated(self.P, L[:, seen], C, V)
+        if seen.all() and np.abs(L - part.L).max() <= _SETTLED * np.abs(part.L).max():
+            self.reset()
+        return L
+
+
+_UNKNOWN = 1e10
+"""Growth of the largest variance after which nothing is known any more, and it grows no further."""
+_SETTLED = 1e-4
+"""Share of the largest gain by which gains may differ from those of the steady state and be them."""
