@@ -34,7 +34,7 @@ class AxisModel:
     prior: Array
     """Standard deviation of each state as known beforehand, infinite where not known, ``(n,)``."""
     gate: Array
-    """How far each measurement may be off in standard deviations, ``(n_measured,)``."""
+    """How far each measurement may be off what is expected, ``(n_measured,)``."""
     quantities: tuple[Quantity, ...]
     """What each state is, ``n`` names."""
 

@@ -57,12 +57,12 @@ class ObserverConfig:
     0 [m/s^2]; used where the force goes missing."""
     tissue_jerk: Annotated[float, Gt(0)] = 60.0
     """``fused``, ``ramp``: the same of its jerk [m/s^3]."""
-    patience: Annotated[float, Ge(0), Le(10)] = 0.03
+    patience: Annotated[float, Ge(0), Le(10)] = 0.04
     """How long force or velocity may be missing and the estimate still be what is decided on [s];
     then the last plan goes on and the command is held until all is measured again."""
-    force_gate: Annotated[float, Gt(0)] = INFINITE
-    """Standard deviations by which a measured force may be off what is expected; one that is
-    further off is not used, three times in a row at most. Infinite: all are used."""
+    force_gate: Annotated[float, Gt(0)] = 2.0
+    """How far a measured force may be off what is expected, in the steady state [N]; one that is
+    further off is not used, three times in a row at most."""
 
 
 @dataclass(frozen=True)

@@ -121,9 +121,11 @@ def _solved(x: Indices, y: Indices, A: Array, C: Array, W: Array, V: Array) -> S
 
 
 def updated(P: Array, L: Array, C: Array, V: Array) -> Array:
-    """Return the covariance after a measurement with any gain L (Joseph's form, symmetric)."""
-    rest = np.eye(P.shape[0]) - L @ C
-    return np.asarray(rest @ P @ rest.T + L @ V @ L.T)
+    """Return the covariance after a measurement with any gain L: Joseph's form, which stays
+    positive whatever is rounded; of one system, or of a stack of them.
+    """
+    rest = np.eye(P.shape[-1]) - L @ C
+    return np.asarray(rest @ P @ rest.swapaxes(-1, -2) + L @ V @ L.swapaxes(-1, -2))
 
 
 def _at_rest(A: Array, W: Array) -> Array:
@@ -145,77 +147,3 @@ def _state_scale(A: Array, C: Array) -> Array:
         effect = np.maximum(effect, np.abs(power).max(axis=0, initial=0.0))
         power = power @ A
     return np.where(effect > 0, effect, 1.0)
-
-
-class Varying:
-    """A subsystem whose measurements may be missing: covariance and gain, from cycle to cycle."""
-
-    def __init__(self, part: Subsystem, prior: Array) -> None:
-        """Begin in the steady state.
-
-        Args:
-            part: see there.
-            prior: standard deviation of each state as it is known beforehand, around 0, in its own
-                unit, ``(n,)``; infinite: nothing is known.
-        """
-        self.part = part
-        known = np.flatnonzero(np.isfinite(prior))
-        self.prior = np.eye(part.P.shape[0])[known], np.diag((prior * part.state_scale)[known] ** 2)
-        """What is known beforehand, as a measurement of 0: rows and covariance."""
-        self.P = part.P.copy()
-        """Covariance after the last measurement, scaled, ``(n, n)``."""
-        self.settled = True
-        """Whether it is that of the steady state."""
-        before = part.A @ part.P @ part.A.T + part.W
-        self._unknown = _UNKNOWN * max(1.0, np.abs(before).max())
-
-    def reset(self) -> None:
-        """Begin anew in the steady state."""
-        self.P[:] = self.part.P
-        self.settled = True
-
-    def recall(self) -> Array:
-        """Bring in what is known beforehand; return the map of the estimate, scaled, ``(n, n)``.
-
-        The steady state makes no use of it: there, measurements tell more. It is brought in once,
-        where they begin to fail.
-        """
-        C, V = self.prior
-        L = np.linalg.solve(C @ self.P @ C.T + V, C @ self.P).T
-        self.P[:] = updated(self.P, L, C, V)
-        return np.eye(self.P.shape[0]) - L @ C
-
-    def advance(self) -> None:
-        """Go on by one cycle without a measurement; stop where nothing is known any more."""
-        part = self.part
-        P = part.A @ self.P @ part.A.T + part.W
-        if np.abs(P).max() <= self._unknown:
-            self.P[:] = P
-        self.settled = False
-
-    def deviation(self) -> Array:
-        """Return the standard deviation of the innovations after `advance`, scaled, ``(m,)``."""
-        part = self.part
-        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", part.C, self.P, part.C) + np.diag(part.V)))
-
-    def gain(self, seen: NDArray[np.bool_]) -> Array:
-        """Take a measurement of the rows that are ``seen (m,)``, after `advance`.
-
-        Returns:
-            The gain that is right for it, scaled, ``(n, m)``; columns of the others are zero.
-        """
-        part = self.part
-        L = np.zeros_like(part.L)
-        if seen.any():
-            C, V = part.C[seen], part.V[np.ix_(seen, seen)]
-            L[:, seen] = np.linalg.solve(C @ self.P @ C.T + V, C @ self.P).T
-            self.P[:] = updated(self.P, L[:, seen], C, V)
-        if seen.all() and np.abs(L - part.L).max() <= _SETTLED * np.abs(part.L).max():
-            self.reset()
-        return L
-
-
-_UNKNOWN = 1e10
-"""Growth of the largest variance after which nothing is known any more, and it grows no further."""
-_SETTLED = 1e-4
-"""Share of the largest gain by which gains may differ from those of the steady state and be them."""

@@ -7,14 +7,11 @@ from numpy.typing import ArrayLike
 
 from qpmpc.arrays import Array, all_finite, matrix, vector
 from qpmpc.errors import ObserverError
-from qpmpc.kalman import Varying, joined, kalman_gain, subsystems
+from qpmpc.intermittent import intermittent
+from qpmpc.kalman import joined, kalman_gain, subsystems
 from qpmpc.models import LinearModel
 
 __all__ = ["KalmanObserver", "kalman_gain"]
-
-MOST_REFUSED = 3
-"""Measurements of a row in a row that the gate refuses; the next is taken, whatever it is."""
-
 
 class KalmanObserver:
     """State estimate that a controller carries from cycle to cycle.
@@ -47,8 +44,9 @@ class KalmanObserver:
             measurement_noise: V, covariance of the measurement, ``(n_measured, n_measured)``,
                 positive definite.
             patience: cycles that a row may be missing until the estimate counts as uninformed.
-            gate: how many standard deviations a row may lie off what is expected before it is
-                taken for wrong, at most three times in a row; scalar or ``(n_measured,)``.
+            gate: how far a row may lie off what is expected before it is taken for wrong, at most
+                three times in a row, in its unit and in the steady state; where less is known it
+                is wider, as the deviation of the innovation is; scalar or ``(n_measured,)``.
             prior: standard deviation of each state as it is known beforehand, around 0; taken into
                 account when measurements begin to fail; scalar or ``(n,)``, infinite: not known.
 
@@ -65,9 +63,10 @@ class KalmanObserver:
         V = matrix("measurement_noise", measurement_noise, m, m)
         if np.linalg.eigvalsh(V).min() <= 0:
             raise ObserverError("measurement_noise must be positive definite")
-        width = vector("gate", gate, m, finite=False)
-        if not (width > 0).all():
-            raise ObserverError(f"gate must be positive, got {width.min():g}")
+        self.gate = np.array(vector("gate", gate, m, finite=False))
+        """Innovation up to which a row is taken in the steady state, ``(n_measured,)``."""
+        if not (self.gate > 0).all():
+            raise ObserverError(f"gate must be positive, got {self.gate.min():g}")
         if patience < 0:
             raise ObserverError(f"patience must not be negative, got {patience} cycles")
         parts = subsystems(self.A, self.measured, W, V)
@@ -79,15 +78,11 @@ class KalmanObserver:
         """Cycles for which each row has not been used, ``(n_measured,)``."""
         self.settled = np.ones(1, dtype=np.int64)
         """Whether every gain is that of the steady state, ``(1,)``; 1 or 0."""
-        self._width, self._gated = width, bool(np.isfinite(width).any())
-        self.gate = np.full(m, np.inf)
-        """Innovation up to which a row is taken in the steady state, ``(n_measured,)``."""
-        for part in parts:
-            self.gate[part.rows] = width[part.rows] * part.deviation / part.row_scale
+        self._gated = bool(np.isfinite(self.gate).any())
         known = vector("prior", prior, n, finite=False)
         if not (known > 0).all():
             raise ObserverError(f"prior must be positive, got {known.min():g}")
-        self._parts = [Varying(part, known[part.states]) for part in parts if part.rows.size]
+        self._parts = intermittent(parts, known)
         self._innovation = np.zeros(m)
         self._work, self._work2 = np.zeros(n), np.zeros(n)
 
@@ -101,8 +96,8 @@ class KalmanObserver:
         self.state[:] = state
         self.missing[:] = 0
         self.settled[0] = 1
-        for part in self._parts:
-            part.reset()
+        for parts in self._parts:
+            parts.reset()
 
     def correct(self, measurement: Array) -> Array:
         """Blend in a measurement ``(n_measured,)``; return the estimate x(k|k), in place.
@@ -114,7 +109,9 @@ class KalmanObserver:
         if self.settled[0] and all_finite(innovation) and self._within(innovation):
             self.state += np.dot(self.gain, innovation, out=self._work)
         else:
-            self._correct_partly(innovation)
+            for parts in self._parts:
+                parts.correct(self.state, innovation, self.gate, self.missing)
+            self.settled[0] = all(parts.settled.all() for parts in self._parts)
         return self.state
 
     def predict(self, command: Array) -> Array:
@@ -126,25 +123,3 @@ class KalmanObserver:
 
     def _within(self, innovation: Array) -> bool:
         return not self._gated or bool((np.abs(innovation) <= self.gate).all())
-
-    def _correct_partly(self, innovation: Array) -> None:
-        """Use the rows that are there and believable, each subsystem with the gain of its own."""
-        settled = True
-        for varying in self._parts:
-            part = varying.part
-            estimate = self.state[part.states] * part.state_scale
-            e, width = innovation[part.rows] * part.row_scale, self._width[part.rows]
-            gaps, steady = self.missing[part.rows], varying.settled
-            varying.advance()
-            seen = np.isfinite(e)
-            e[~seen] = 0.0
-            seen &= (np.abs(e) <= width * varying.deviation()) | (gaps >= MOST_REFUSED)
-            if steady and not seen.all():
-                known = varying.recall() @ estimate
-                e += part.C @ (estimate - known)
-                estimate = known
-            estimate += varying.gain(seen) @ e
-            self.state[part.states] = estimate / part.state_scale
-            self.missing[part.rows] = np.where(seen, 0, gaps + 1)
-            settled &= varying.settled
-        self.settled[0] = settled
