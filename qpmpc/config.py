@@ -53,8 +53,8 @@ class ObserverConfig:
     tissue_jerk_drift: Annotated[float, Gt(0)] = 100.0
     """``fused``: change per cycle of the tissue's jerk [m/s^3], standard deviation."""
     tissue_acceleration: Annotated[float, Gt(0)] = 1.5
-    """``fused``: what the tissue's acceleration is known to be beforehand, standard deviation around
-    0 [m/s^2]; used where the force goes missing."""
+    """``fused``: what is known of the tissue's acceleration beforehand, standard deviation around 0
+    [m/s^2]; used where the force goes missing."""
     tissue_jerk: Annotated[float, Gt(0)] = 60.0
     """``fused``, ``ramp``: the same of its jerk [m/s^3]."""
     patience: Annotated[float, Ge(0), Le(10)] = 0.04

@@ -1,4 +1,4 @@
-"""Kalman filters some of whose measurements are missing or wrong: covariance from cycle to cycle."""
+"""Kalman filters some of whose measurements are missing or wrong: gains from cycle to cycle."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qpmpc.arrays import Array, Indices
 from qpmpc.kalman import Subsystem, updated
@@ -14,9 +13,9 @@ from qpmpc.kalman import Subsystem, updated
 MOST_REFUSED = 3
 """Measurements of a row, one after the other, that the gate refuses; the next is taken."""
 _UNKNOWN = 1e10
-"""Growth of the largest variance after which nothing is known any more, and it grows no further."""
+"""Growth of the largest variance beyond which it grows no further: nothing is known any more."""
 _SETTLED = 1e-4
-"""Share of the largest gain by which gains may differ from those of the steady state and be them."""
+"""Share of the largest gain by which gains may differ from the steady ones and count as these."""
 
 
 class Intermittent:
@@ -37,7 +36,8 @@ class Intermittent:
         self.state_scale = np.stack([part.state_scale for part in parts])
         self.row_scale = np.stack([part.row_scale for part in parts])
         self._A, self._C, self._W, self._V, self._steady, self._gain = (
-            np.stack([getattr(part, name) for part in parts]) for name in ("A", "C", "W", "V", "P", "L")
+            np.stack([getattr(part, name) for part in parts])
+            for name in ("A", "C", "W", "V", "P", "L")
         )
         self._AT, self._CT = self._A.swapaxes(1, 2), self._C.swapaxes(1, 2)
         self._deviation = np.stack([part.deviation for part in parts])
@@ -80,14 +80,14 @@ class Intermittent:
         whole = seen.all(axis=1)
         begins = self.settled & ~whole
         if begins.any():
-            for i in np.flatnonzero(begins):
+            for i in np.flatnonzero(begins).tolist():
                 self._recall(i, P[i], x[i], e[i])
             S = self._C @ P @ self._CT + self._V
         used = seen.astype(np.float64)
         C = self._C * used[:, :, None]
         S *= used[:, :, None] * used[:, None, :]
         S += self._unit * (1.0 - used)[:, :, None]
-        L = P @ C.swapaxes(1, 2) @ np.linalg.inv(S)
+        L = _gain(P, C, S)
         x += (L @ (e * used)[:, :, None])[:, :, 0]
         self.P[:] = updated(P, L, C, self._V)
         self.settled[:] = whole & (np.abs(L - self._gain).max(axis=(1, 2)) <= self._near)
@@ -110,6 +110,10 @@ class Intermittent:
         x -= change
         e += self._C[i] @ change
         P[:] = updated(P, L, C, V)
+
+
+def _gain(P: Array, C: Array, S: Array) -> Array:
+    return np.asarray(P @ C.swapaxes(1, 2) @ np.linalg.inv(S))
 
 
 def intermittent(parts: Sequence[Subsystem], prior: Array) -> list[Intermittent]:

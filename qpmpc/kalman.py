@@ -1,4 +1,4 @@
-"""Kalman filters in their steady state, and what an estimate is worth when measurements are missing."""
+"""Kalman filters in their steady state, subsystem by subsystem."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are, solve_discrete_lyapunov
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
@@ -72,7 +71,7 @@ def subsystems(A: Array, C: Array, W: Array, V: Array) -> list[Subsystem]:
         x, y = np.flatnonzero(label[:n] == i), np.flatnonzero(label[n:] == i)
         if x.size:
             own = np.ix_(x, x)
-            found.append(_solved(x, y, A[own], C[np.ix_(y, x)], W[own], V[np.ix_(y, y)]))
+            found.append(_solved((x, y), A[own], C[np.ix_(y, x)], W[own], V[np.ix_(y, y)]))
     return found
 
 
@@ -96,7 +95,9 @@ def joined(parts: Sequence[Subsystem], shape: tuple[int, ...]) -> Array:
     return L
 
 
-def _solved(x: Indices, y: Indices, A: Array, C: Array, W: Array, V: Array) -> Subsystem:
+def _solved(where: tuple[Indices, Indices], A: Array, C: Array, W: Array, V: Array) -> Subsystem:
+    """Scale and solve one subsystem; ``where``: its states and rows in the whole."""
+    x, y = where
     row_scale = 1.0 / np.sqrt(np.diag(V))
     state_scale = _state_scale(A, row_scale[:, None] * C)
     A_s = state_scale[:, None] * A / state_scale

@@ -13,6 +13,10 @@ from qpmpc.models import LinearModel
 
 __all__ = ["KalmanObserver", "kalman_gain"]
 
+_NEVER = np.int64(2**40)
+"""Cycles without a row that has not been measured yet."""
+
+
 class KalmanObserver:
     """State estimate that a controller carries from cycle to cycle.
 
@@ -74,7 +78,7 @@ class KalmanObserver:
         """Filter gain of the steady state, ``(n, n_measured)``."""
         self.state = np.zeros(n)
         self.patience = patience
-        self.missing = np.zeros(m, dtype=np.int64)
+        self.missing = np.full(m, _NEVER)
         """Cycles for which each row has not been used, ``(n_measured,)``."""
         self.settled = np.ones(1, dtype=np.int64)
         """Whether every gain is that of the steady state, ``(1,)``; 1 or 0."""
@@ -88,13 +92,13 @@ class KalmanObserver:
 
     @property
     def informed(self) -> bool:
-        """Whether no row has been missing for longer than `patience`."""
+        """Whether every row has been measured, and none was missing longer than `patience`."""
         return int(self.missing.max(initial=0)) <= self.patience
 
     def reset(self, state: ArrayLike = 0.0) -> None:
-        """Set the estimate, ``(n,)`` or a scalar for all, as if all had been measured till now."""
+        """Set the estimate, ``(n,)`` or a scalar for all; it counts for no measurement."""
         self.state[:] = state
-        self.missing[:] = 0
+        self.missing[:] = _NEVER
         self.settled[0] = 1
         for parts in self._parts:
             parts.reset()
@@ -108,6 +112,7 @@ class KalmanObserver:
         np.subtract(measurement, innovation, out=innovation)
         if self.settled[0] and all_finite(innovation) and self._within(innovation):
             self.state += np.dot(self.gain, innovation, out=self._work)
+            self.missing.fill(0)
         else:
             for parts in self._parts:
                 parts.correct(self.state, innovation, self.gate, self.missing)

@@ -140,7 +140,8 @@ class CompiledStep:
         shared: list[np.ndarray] = [
             self.measurement, self.preview, reference.decay,
             present.lower, present.upper, present.low, present.high, present.fall, present.rise,
-            self._remaining, whole.observer.gate, whole.observer.settled,
+            self._remaining,
+            whole.observer.gate, whole.observer.missing, whole.observer.settled,
             whole.observer.state, command,
             problem.free, problem.q, problem.l, problem.u,
             fallback.plan, fallback.cursor, prepared, self.values, self.counts,

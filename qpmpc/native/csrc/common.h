@@ -46,6 +46,7 @@ struct shared {
   const double *rise;        /* (INPUTS) */
   const double *remaining;   /* time until the answer has to be there [s] */
   const double *gate;        /* (MEASURED) innovation up to which a row is taken */
+  int64_t *missing;          /* (MEASURED) cycles for which each row has not been used */
   const int64_t *settled;    /* whether the observer's gain is that of the steady state */
   double *state;             /* (STATES) */
   double *command;           /* (INPUTS) */

@@ -77,6 +77,7 @@ int step(struct memory *m) {
   if (isfinite(*s->remaining) && !(seconds() - began <= *s->remaining)) return TOO_LATE;
 #define COMMIT(kind, i) commit_##kind(&m->group_##i, s);
   EACH(COMMIT)
+  for (int i = 0; i < MEASURED; i++) s->missing[i] = 0;
   *s->cursor = 1;
   *s->prepared = 0;
   *s->counts = found.iterations;
