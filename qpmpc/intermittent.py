@@ -105,7 +105,7 @@ class Intermittent:
         if not known.size:
             return
         C, V = np.eye(x.size)[known], np.diag(self._prior[i][known] ** 2)
-        L = np.linalg.solve(C @ P @ C.T + V, C @ P).T
+        L = _gain(P, C, C @ P @ C.T + V)
         change = L @ x[known]
         x -= change
         e += self._C[i] @ change
@@ -113,7 +113,7 @@ class Intermittent:
 
 
 def _gain(P: Array, C: Array, S: Array) -> Array:
-    return np.asarray(P @ C.swapaxes(1, 2) @ np.linalg.inv(S))
+    return np.asarray(P @ C.swapaxes(-1, -2) @ np.linalg.inv(S))
 
 
 def intermittent(parts: Sequence[Subsystem], prior: Array) -> list[Intermittent]:
