@@ -7,6 +7,7 @@ import tyro
 from bench.verbs.bench import Bench
 from bench.verbs.compare import Compare
 from bench.verbs.lists import Backends, Scenarios
+from bench.verbs.margins import Margins, Tune
 from bench.verbs.render import Render
 from bench.verbs.report import Report
 from bench.verbs.run import Run
@@ -18,6 +19,8 @@ Command = (
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Margins, tyro.conf.subcommand("margins")]
+    | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Scenarios, tyro.conf.subcommand("scenarios")]
     | Annotated[Backends, tyro.conf.subcommand("backends")]

@@ -9,7 +9,7 @@ from qpmpc.kalman import subsystems
 
 
 def prediction_error(
-    A: Array, C: Array, W: Array, V: Array, output: Array, cycles: int
+    A: Array, C: Array, W: Array, V: Array, *, output: Array, cycles: int
 ) -> Array:
     """Return the steady standard deviation of outputs predicted ``cycles`` ahead, ``(n_y,)``.
 

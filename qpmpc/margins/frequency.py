@@ -35,7 +35,9 @@ class Margins:
     """Where |L| = 1 [rad/s]."""
 
 
-def margins(transfer: Transfer, period: float, *, lowest: float = 0.01, points: int = 2000) -> Margins:
+def margins(
+    transfer: Transfer, period: float, *, lowest: float = 0.01, points: int = 2000
+) -> Margins:
     """Return the margins of a loop that is stable when closed; that is not checked.
 
     Crossings are found on a grid and then to machine precision; two that lie between neighbours of
@@ -53,7 +55,9 @@ def margins(transfer: Transfer, period: float, *, lowest: float = 0.01, points: 
     def one(function: Callable[[complex], float]) -> Callable[[float], float]:
         return lambda w: float(function(complex(transfer(np.array([w]))[0])))
 
-    gain = [_root(one(lambda v: np.log(abs(v))), a, b) for a, b in _changes(np.log(np.abs(L)), omega)]
+    gain = [
+        _root(one(lambda v: np.log(abs(v))), a, b) for a, b in _changes(np.log(np.abs(L)), omega)
+    ]
     up, down = np.inf, 0.0
     at = [_root(one(lambda v: v.imag), a, b) for a, b in _changes(L.imag, omega)]
     for value in [*(complex(transfer(np.array([w]))[0]) for w in at), complex(L[-1])]:

@@ -51,9 +51,7 @@ def force_law(config: ControllerConfig, period: float) -> System:
     Raises:
         QpmpcError: the configuration cannot be had.
     """
-    axis = axis_model(
-        config.model, config.observer, period, tool_velocity=_bounds_velocity(config)
-    )
+    axis = axis_model(config.model, config.observer, period, tool_velocity=_bounds_velocity(config))
     problem = Problem(
         axis.model,
         config.horizon,
@@ -62,9 +60,7 @@ def force_law(config: ControllerConfig, period: float) -> System:
         control_horizon=config.control_horizon,
         decision=config.decision,
     )
-    observer = KalmanObserver(
-        axis.model, axis.measured, axis.process_noise, axis.measurement_noise
-    )
+    observer = KalmanObserver(axis.model, axis.measured, axis.process_noise, axis.measurement_noise)
     return linear_law(
         problem, observer, ExponentialReference(config.horizon, 1, period, config.reference_time)
     )

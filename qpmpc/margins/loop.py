@@ -28,7 +28,7 @@ class Loop:
     @property
     def rows(self) -> int:
         """How many of the plant's outputs the law measures: the force, and maybe the velocity."""
-        return self.law.B.shape[1] - 1
+        return int(self.law.B.shape[1]) - 1
 
     def transfer(self, omega: Array) -> Complex:
         """Return the loop transfer, broken at the plant's input, ``(n_w,)``; -1 is critical."""

@@ -11,7 +11,10 @@ _STEPS = 24
 
 
 def stable_range(
-    stable: Callable[[float], bool], nominal: float, lowest: float, highest: float,
+    stable: Callable[[float], bool],
+    nominal: float,
+    lowest: float,
+    highest: float,
     tolerance: float = 1e-6,
 ) -> tuple[float, float] | None:
     """Return the range around ``nominal`` in which ``stable`` is true; None if it is not there.
@@ -30,9 +33,7 @@ def stable_range(
     return tuple(_edge(stable, nominal, end, tolerance) for end in (lowest, highest))  # type: ignore[return-value]
 
 
-def _edge(
-    stable: Callable[[float], bool], nominal: float, end: float, tolerance: float
-) -> float:
+def _edge(stable: Callable[[float], bool], nominal: float, end: float, tolerance: float) -> float:
     if end == nominal:
         return end
     geometric = nominal > 0 and end > 0

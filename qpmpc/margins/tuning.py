@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
+from scipy.stats import qmc
 
 from qpmpc.arrays import Array
 from qpmpc.config import ControllerConfig, Disturbance
@@ -22,7 +23,11 @@ _POINTS = 400
 """Frequencies at which loops are looked at while searching."""
 _RESERVE = 0.99
 """Share of the sensitivity allowed that is used: peaks lie between the points."""
-_UNSTABLE = 20.0
+_EACH = 5
+"""Members of the population for each knob."""
+_LENIENT, _STRICT = 2.0, 50.0
+"""Price of a margin that is missed, in the logarithm, at first and in the end."""
+_UNSTABLE = 50.0
 """Cost of a loop that is not stable; beyond all others."""
 
 KNOBS: Mapping[Disturbance, Sequence[str]] = {
@@ -36,15 +41,16 @@ WEIGHTS = ("reference_time", "increment_weight")
 MODEL = ("model.stiffness",)
 """What is turned in the model, where that is allowed."""
 _ROOM = {
-    "observer.input_drift": 1e3,
-    "observer.input_slope_drift": 1e3,
-    "observer.tissue_jerk_drift": 1e3,
-    "observer.velocity_noise": 1e3,
-    "reference_time": 20.0,
-    "increment_weight": 1e3,
-    "model.stiffness": 8.0,
+    "observer.input_drift": (1e-3, 1e2),
+    "observer.input_slope_drift": (1e-3, 1e2),
+    "observer.tissue_jerk_drift": (1e-3, 1e2),
+    "observer.velocity_noise": (1e-2, 1e3),
+    "reference_time": (0.1, 10.0),
+    "increment_weight": (1e-5, 10.0),
+    "model.stiffness": (0.5, 16.0),
 }
-"""Factor by which each may be moved, either way."""
+"""Factors by which each may be moved, down and up. Against the other direction speaks that a law
+that does nothing is robust, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +133,7 @@ def tune(
     names = [*KNOBS[config.observer.disturbance], *WEIGHTS, *(MODEL if model else ())]
     names = [name for name in names if read(config, name) > 0]
     centre = np.log([read(config, name) for name in names])
-    room = [(c - np.log(_ROOM[n]), c + np.log(_ROOM[n])) for c, n in zip(centre, names, strict=True)]
+    room = [tuple(c + np.log(_ROOM[n])) for c, n in zip(centre, names, strict=True)]
     before = judge(force_law(config, period))
     best, least, count = centre, np.inf, 0
 
@@ -139,16 +145,18 @@ def tune(
             found = judge(force_law(_turned(config, names, knobs), period))
         except QpmpcError:
             return 2 * _UNSTABLE
-        value = _cost(found, demand.sensitivity * _RESERVE)
+        value = _cost(found, demand.sensitivity * _RESERVE, _STRICT)
         if value < least:
             best, least = knobs.copy(), value
-        return value
+        return _cost(found, demand.sensitivity * _RESERVE, price)
 
-    each = 6  # times the number of knobs: a population
-    generations = max(1, round(0.8 * evaluations / (each * len(names))) - 1)
+    price = _LENIENT
+    population = _population(centre, room, names, demand)
+    generations = max(1, round(0.7 * evaluations / len(population)) - 1)
     differential_evolution(
-        cost, room, x0=centre, popsize=each, maxiter=generations, seed=0, polish=False, tol=1e-3
+        cost, room, init=population, maxiter=generations, seed=0, polish=False, tol=1e-3
     )
+    price = _STRICT
     minimize(
         cost, best, method="Nelder-Mead", bounds=room,
         options={"maxfev": max(1, evaluations - count), "xatol": 1e-3, "fatol": 1e-4,
@@ -192,11 +200,35 @@ def _set(config: Any, name: str, value: float) -> Any:
     return replace(config, **{head: _set(getattr(config, head), rest, value) if rest else value})
 
 
-def _cost(found: Quality, sensitivity: float) -> float:
+def _population(
+    centre: Array, room: Sequence[tuple[float, float]], names: Sequence[str], demand: Demand
+) -> Array:
+    """Return where the search begins: everywhere, at the configuration, and where it is calm.
+
+    Calm is a law for the stiffest of the plants with little price on the command, so that the time
+    of the reference alone says how fast it is, and an observer that is slow.
+    """
+    low, high = np.array(room).T
+    spread = qmc.LatinHypercube(len(names), seed=0).random(_EACH * len(names))
+    calm = np.tile(centre, (4, 1))
+    stiffest = max(plant.stiffness for plant in demand.plants)
+    for i, name in enumerate(names):
+        if name == "model.stiffness":
+            calm[:, i] = np.log(stiffest * np.array([1.0, 1.0, 2.0, 2.0]))
+        elif name == "reference_time":
+            calm[:, i] = np.log([0.05, 0.2, 0.05, 0.2])
+        elif name == "increment_weight":
+            calm[:, i] -= np.log(100.0)
+        elif name != "observer.velocity_noise":
+            calm[:, i] -= np.log([3.0, 30.0, 3.0, 30.0])
+    return np.vstack([np.clip([centre, *calm], low, high), low + spread * (high - low)])
+
+
+def _cost(found: Quality, sensitivity: float, price: float) -> float:
     """The error left, in its logarithm; first stability, then the margin."""
     if not np.isfinite(found.sensitivity):
         return _UNSTABLE + found.radius
-    return float(np.log(found.error) + 30.0 * max(0.0, np.log(found.sensitivity / sensitivity)))
+    return float(np.log(found.error) + price * max(0.0, np.log(found.sensitivity / sensitivity)))
 
 
 class _Judge:
