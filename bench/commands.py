@@ -11,6 +11,7 @@ from bench.verbs.margins import Margins, Tune
 from bench.verbs.render import Render
 from bench.verbs.report import Report
 from bench.verbs.run import Run
+from bench.verbs.sweep import Sweep
 from bench.verbs.view import View
 
 Command = (
@@ -19,6 +20,7 @@ Command = (
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Margins, tyro.conf.subcommand("margins")]
     | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]

@@ -18,13 +18,13 @@ def margin_table(told: dict[str, Any]) -> Table:
     table = Table(
         title=f"Margins, scenario {told['scenario']}: model {told['model_stiffness']:g} N/m, true "
         f"{plant['stiffness']:g} N/m",
-        box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True,
+        box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True, pad_edge=False,
     )  # fmt: skip
     axes = list(told["nominal"]["rms"] or told["lower_bound"]["rms"])
     table.add_column("true\nplant", vertical="bottom", no_wrap=True)
     for heading in (
-        "gain margin\ndown / up", "phase\n[deg]", "delay\n[ms]", "\nMs",
-        f"reduction {'/'.join(axes)}\n[%], linear", "noise\n[mN]", "change of\nu [m/s^2]",
+        "gain\ndown / up", "phase\n[deg]", "delay\n[ms]", "\nMs",
+        f"reduction\n{'/'.join(axes)} [%]", "noise\n[mN]", "RMS of\nDelta u",
     ):  # fmt: skip
         table.add_column(escape(heading), justify="right", no_wrap=True)
     rows = [("the cell", told["nominal"])]
