@@ -75,17 +75,17 @@ def motion_of(scenario: Scenario) -> Motion:
     index = [AXES.index(axis) for axis in scenario.axes]
     position = motion.position[:, index]
     position = (position - position.mean(axis=0)) * np.hanning(len(position))[:, None]
-    power = np.abs(np.fft.rfft(position, axis=0)) ** 2
+    power = np.abs(np.fft.rfft(position, axis=0)[1:]) ** 2
     power *= motion.position[:, index].var(axis=0) / power.sum(axis=0, keepdims=True).clip(1e-300)
-    frequency = np.fft.rfftfreq(len(position), period)
-    edges = np.geomspace(max(frequency[1], 0.05), 0.5 / period, _BINS)
-    band = np.digitize(frequency[1:], edges)
+    frequency = np.fft.rfftfreq(len(position), period)[1:]
+    edges = np.geomspace(max(frequency[0], 0.05), 0.5 / period, _BINS)
+    band = np.digitize(frequency, edges)
     omega, rms = [], []
     for each in np.unique(band):
-        here = power[1:][band == each]
+        here = power[band == each]
         total = here.sum()
         weights = here.sum(axis=1) / total if total > 0 else None
-        omega.append(2 * np.pi * np.average(frequency[1:][band == each], weights=weights))
+        omega.append(2 * np.pi * np.average(frequency[band == each], weights=weights))
         rms.append(np.sqrt(here.sum(axis=0)))
     change = np.diff(motion.acceleration[:, index], n=2, axis=0) / period
     drift = np.sqrt(np.mean(change**2, axis=0)) if len(change) else np.zeros(len(index))

@@ -154,7 +154,7 @@ def tune(
     population = _population(centre, room, names, demand)
     generations = max(1, round(0.7 * evaluations / len(population)) - 1)
     differential_evolution(
-        cost, room, init=population, maxiter=generations, seed=0, polish=False, tol=1e-3
+        cost, room, init=population, maxiter=generations, seed=0, polish=False, tol=0.0
     )
     price = _STRICT
     minimize(
