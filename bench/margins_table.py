@@ -24,7 +24,7 @@ def margin_table(told: dict[str, Any]) -> Table:
     table.add_column("true\nplant", vertical="bottom", no_wrap=True)
     for heading in (
         "gain\ndown / up", "phase\n[deg]", "delay\n[ms]", "\nMs",
-        f"reduction\n{'/'.join(axes)} [%]", "noise\n[mN]", "RMS of\nDelta u",
+        f"reduction\n{'/'.join(axes)} [%]", "noise\n[mN]", "change\nof u",
     ):  # fmt: skip
         table.add_column(escape(heading), justify="right", no_wrap=True)
     rows = [("the cell", told["nominal"])]

@@ -160,7 +160,7 @@ def test_sweep_as_a_process():
 def test_a_run_that_trips_has_its_row_and_ends_with_1(capsys):
     over = "cell.protection.tip_speed=[0.5, 0.001]"
     with pytest.raises(SystemExit) as left:
-        main(["sweep", "paper-1d", "--over", over, "--duration", "0.1"])
+        main(["sweep", "paper-1d", "--over", over, "--duration", "0.5"])
     assert left.value.code == 1
     said = capsys.readouterr().out
     assert "reduction of" in said
