@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from plant.sensors import SENSORS
 from qpmpc.augment import parabola, with_disturbance
+from qpmpc.config import ObserverConfig
 from qpmpc.contact import contact_model
 from qpmpc.margins import (
     Demand,
@@ -28,6 +29,8 @@ Row = dict[str, Any]
 
 _BINS = 60
 """Bands of frequency in which the power of a motion is gathered."""
+VELOCITY_NOISE = ObserverConfig().velocity_noise
+"""Standard deviation of the measured velocity, whatever an observer is told of it [m/s]."""
 HARMONICS = 10
 """Of the heart, at which rejection is told."""
 _FURTHER = 64.0
@@ -107,7 +110,7 @@ def assess(
     """
     config, period = scenario.controller, scenario.cell.period
     law, plant, motion = force_law(config, period), true_plant(scenario), motion_of(scenario)
-    noise = SENSORS[scenario.cell.sensor.model].deviation, config.observer.velocity_noise
+    noise = SENSORS[scenario.cell.sensor.model].deviation, VELOCITY_NOISE
 
     def row(changed: TruePlant) -> Row:
         return _row(Loop(changed, law), motion, noise, scenario)
@@ -229,7 +232,7 @@ def demand(
         motion.omega,
         np.sqrt(np.sum(motion.rms**2, axis=1)),
         SENSORS[scenario.cell.sensor.model].deviation,
-        scenario.controller.observer.velocity_noise,
+        VELOCITY_NOISE,
     )
 
 

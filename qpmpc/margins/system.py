@@ -24,9 +24,14 @@ class System:
     """Sampling period [s]."""
 
     @property
+    def poles(self) -> Complex:
+        """Eigenvalues of A, ``(n,)``."""
+        return np.linalg.eigvals(self.A).astype(np.complex128)
+
+    @property
     def radius(self) -> float:
         """Largest magnitude of a pole; the system is stable below 1."""
-        return float(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0))
+        return float(np.abs(self.poles).max(initial=0.0))
 
     def response(self, omega: Array) -> Complex:
         """Return the frequency response at ``omega (n_w,)`` [rad/s], ``(n_w, n_y, n_u)``."""

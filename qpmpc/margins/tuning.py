@@ -22,11 +22,13 @@ from qpmpc.margins.system import Complex, System
 _POINTS = 400
 """Frequencies at which loops are looked at while searching."""
 _RESERVE = 0.99
-"""Share of the sensitivity allowed that is used: peaks lie between the points."""
+"""Share of the sensitivity allowed that is used: a peak may lie between the points."""
 _EACH = 5
 """Members of the population for each knob."""
 _LENIENT, _STRICT = 2.0, 50.0
 """Price of a margin that is missed, in the logarithm, at first and in the end."""
+_RINGS = 0.7
+"""Magnitude of a pole beyond which it may make a peak."""
 _UNSTABLE = 50.0
 """Cost of a loop that is not stable; beyond all others."""
 
@@ -46,7 +48,7 @@ _ROOM = {
     "observer.tissue_jerk_drift": (1e-3, 1e2),
     "observer.velocity_noise": (1e-2, 1e3),
     "reference_time": (0.1, 10.0),
-    "increment_weight": (1e-5, 10.0),
+    "increment_weight": (1e-3, 10.0),
     "model.stiffness": (0.5, 16.0),
 }
 """Factors by which each may be moved, down and up. Against the other direction speaks that a law
@@ -249,10 +251,23 @@ class _Judge:
         for plant, sampled, plain in zip(
             self._demand.plants, self._sampled, self._responses, strict=True
         ):
-            radius = max(radius, closed_loop(sampled, law).radius)
+            poles = closed_loop(sampled, law).poles
+            radius = max(radius, float(np.abs(poles).max()))
             sensitivity, left = self._look(plant, plain, response)
+            sensitivity = max(sensitivity, self._near(poles, sampled, law))
             worst, error = max(worst, sensitivity), max(error, left)
         return Quality(worst if radius < 1 else np.inf, error, radius)
+
+    def _near(self, poles: Complex, sampled: System, law: System) -> float:
+        """Return Ms at the frequencies of the poles, where a narrow peak would be."""
+        omega = np.angle(poles[np.abs(poles) > _RINGS]) / self._period
+        omega = omega[omega > 0]
+        if not omega.size:
+            return 1.0
+        rows = law.B.shape[1] - 1
+        forward = sampled.part(slice(0, rows), slice(2, 3)).response(omega)
+        back = law.part(slice(0, 1), slice(1, None)).response(omega)
+        return float((1.0 / np.abs(1.0 - (back @ forward)[:, 0, 0])).max())
 
     def _look(self, plant: TruePlant, plain: Complex, law: Complex) -> tuple[float, float]:
         """Return Ms, and the RMS of the force over that of the tool held still."""

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from qpmpc import ControllerConfig, ModelError, ObserverConfig, ObserverError, axis_model
+from qpmpc import (
+    ControllerConfig,
+    ModelConfig,
+    ModelError,
+    ObserverConfig,
+    ObserverError,
+    axis_model,
+)
 from qpmpc.arrays import Array
 from qpmpc.margins import (
     Demand,
@@ -184,6 +191,23 @@ def test_the_error_that_is_promised_is_the_one_of_the_loop() -> None:
     assert told.error == pytest.approx(np.sqrt(np.sum(force**2) + noise**2) / still, rel=0.02)
     assert told.sensitivity == pytest.approx(margins(loop.transfer, PERIOD).sensitivity, rel=0.01)
     assert told.radius == pytest.approx(loop.closed.radius)
+
+
+def test_a_narrow_peak_between_the_points_is_seen() -> None:
+    """A law with hardly a price on the command rings at 280 Hz, over some 10 rad/s."""
+    config = ControllerConfig(
+        model=ModelConfig(stiffness=11530.0),
+        observer=ObserverConfig(
+            input_drift=0.0602, tissue_jerk_drift=0.6562, velocity_noise=0.002126
+        ),
+        reference_time=0.188,
+        increment_weight=6.401e-6,
+    )
+    asked = replace(demand(2500.0), plants=[replace(PLANT, stiffness=1250.0, gain=1.2)])
+    told = tune(config, asked, PERIOD, evaluations=1).before
+    loop = Loop(asked.plants[0], force_law(config, PERIOD))
+    assert told.sensitivity == pytest.approx(margins(loop.transfer, PERIOD).sensitivity, rel=0.02)
+    assert told.sensitivity > 5
 
 
 def test_what_is_not_modelled_is_not_turned() -> None:
