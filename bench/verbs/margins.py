@@ -71,13 +71,13 @@ class Margins:
 class Tune:
     """Search observer noises and weights for a margin that is asked for.
 
-    For example, `pulsempc tune paper --stiffness 0.8:1.25 --sensitivity 1.7 --model`; what it
+    For example, `pulsempc tune paper --stiffness 0.8:1.25 --sensitivity 2 --model`; what it
     prints is TOML for a scenario, and the same for `--set`.
     """
 
     scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
     """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
-    sensitivity: Annotated[float, _arg(metavar="MS")] = 1.7
+    sensitivity: Annotated[float, _arg(metavar="MS")] = 2.0
     """Largest sensitivity Ms that may be left, of each loop."""
     stiffness: Annotated[str, _arg(metavar="LOW:HIGH[:N]")] = "0.8:1.25:5"
     """True stiffness over that of the cell for which this has to hold."""

@@ -198,7 +198,10 @@ def test_a_narrow_peak_between_the_points_is_seen() -> None:
     config = ControllerConfig(
         model=ModelConfig(stiffness=11530.0),
         observer=ObserverConfig(
-            input_drift=0.0602, tissue_jerk_drift=0.6562, velocity_noise=0.002126
+            force_noise=0.00313,
+            input_drift=0.0602,
+            tissue_jerk_drift=0.6562,
+            velocity_noise=0.002126,
         ),
         reference_time=0.188,
         increment_weight=6.401e-6,
