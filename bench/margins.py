@@ -54,7 +54,8 @@ class Motion:
 def true_plant(scenario: Scenario) -> TruePlant:
     """Return the linear plant of one axis that is behind a scenario's cell.
 
-    Friction, saturation, the sampling of the inner loop and the coupling of the axes are not in it.
+    Friction, saturation, flexible joints, encoders, the sampling of the inner loop and the coupling
+    of the axes are not in it; of inertias that are wrong link by link, the mean is.
     """
     cell, imperfections = scenario.cell, scenario.cell.imperfections
     return TruePlant(
@@ -63,7 +64,7 @@ def true_plant(scenario: Scenario) -> TruePlant:
         delay=imperfections.delay * cell.period,
         lag=imperfections.torque_lag,
         damping=cell.contact.damping,
-        gain=1.0 + imperfections.inertia_error,
+        gain=1.0 + float(np.mean(imperfections.inertia_error)),
     )
 
 
