@@ -120,7 +120,12 @@ def enter(
             race.refused.append(Refusal(backend, str(error)))
             continue
         cycle = ControlCycle(
-            cell, controller, made.setpoint, made.schedule, recovery(own, made.schedule)
+            cell,
+            controller,
+            made.setpoint,
+            made.schedule,
+            recovery(own, made.schedule),
+            beats=made.beats,
         )
         subject = Controlled(backend, cell, cycle, made.setpoint.force, total)
         race.entries.append(Entry(subject, Cycles(*sizes)))

@@ -20,6 +20,12 @@ def check_consistent(scenario: Scenario, source: str) -> None:
         ScenarioKeyError: they do not.
     """
     _check_bounds(scenario, source)
+    if scenario.controller.observer.disturbance == "beats" and scenario.motion.file is not None:
+        raise ScenarioKeyError(
+            source,
+            "controller.observer.disturbance",
+            "'beats' needs R peaks, and motion.file has none; take 'tracked'",
+        )
     moves, horizon = scenario.controller.control_horizon, scenario.controller.horizon
     if moves is not None and moves > horizon:
         raise ScenarioKeyError(

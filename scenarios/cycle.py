@@ -27,6 +27,8 @@ class ControlCycle:
         setpoint: Setpoint | LiveSetpoint,
         schedule: Schedule,
         recovery: Recovery | None = None,
+        *,
+        beats: NDArray[np.bool_] | None = None,
     ) -> None:
         """Join them.
 
@@ -34,12 +36,13 @@ class ControlCycle:
             plant: asked about its joints where these are bounded; not measured, not moved.
             controller, setpoint, schedule: see there.
             recovery: what looks after the contact, where it can be lost.
+            beats: in which cycles an R peak is told, ``(cycles,)``; none if not given.
 
         Raises:
             ScenarioError: joints are bounded, and the plant tells nothing about them.
         """
         self.controller = controller
-        self._setpoint, self._schedule = setpoint, schedule
+        self._setpoint, self._schedule, self._beats = setpoint, schedule, beats
         self.recovery = recovery
         every = controller.axes == tuple(_AXIS)
         self._index = slice(None) if every else np.array([_AXIS[a] for a in controller.axes])
@@ -69,6 +72,8 @@ class ControlCycle:
         if schedule.due[k]:
             for name in schedule.moving:
                 controller.move(name, *schedule.preview(name, k))
+        if self._beats is not None and self._beats[k]:
+            controller.beat()
         if self._joints is not None:
             controller.view(self._joints.joint_space(measurement.force, self.command))
         preview, force = self._setpoint.preview(k), measurement.force[index]

@@ -20,7 +20,7 @@ from scenarios.errors import ScenarioError
 from scenarios.live import LiveSetpoint
 from scenarios.log import Log
 from scenarios.loop import Pace, Stop, Watch, control_loop, watch_loop
-from scenarios.motion import load_motion
+from scenarios.motion import Motion, load_motion
 from scenarios.motion.config import AXES
 from scenarios.physics import physics_loop
 from scenarios.schedule import Schedule
@@ -42,6 +42,8 @@ class Assembly:
     schedule: Schedule
     controller: ForceController
     log: Log
+    beats: NDArray[np.bool_]
+    """In which cycles an ECG tells an R peak, ``(cycles,)``."""
     another_cell: Callable[[], Cell]
     """Makes a cell of the same motion, as `cell` was at the start."""
 
@@ -104,7 +106,17 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     cell = another_cell()
     controller = make_controller(scenario, cell, setpoint, schedule)
     log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows), cell.joints)
-    return Assembly(cell, setpoint, schedule, controller, log, another_cell)
+    return Assembly(
+        cell, setpoint, schedule, controller, log, told_beats(motion, cycles), another_cell
+    )
+
+
+def told_beats(motion: Motion, cycles: int) -> NDArray[np.bool_]:
+    """Return in which cycles an R peak is known that was not in the one before, ``(cycles,)``."""
+    told = np.zeros(cycles, dtype=np.bool_)
+    cycle = np.ceil(motion.beats / motion.period - 1e-9).astype(np.int64)
+    told[cycle[cycle < cycles]] = True
+    return told
 
 
 def hold_still(cell: Cell, setpoint: Setpoint | LiveSetpoint) -> None:
@@ -189,6 +201,7 @@ def run_experiment(
             cycles,
             schedule=made.schedule,
             recovery=looking_after,
+            beats=made.beats,
             watch=watch,
             pace=pace,
             progress=lambda done, total: report("compensated", done, total),

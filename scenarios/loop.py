@@ -41,6 +41,7 @@ def control_loop(
     *,
     schedule: Schedule,
     recovery: Recovery | None = None,
+    beats: NDArray[np.bool_] | None = None,
     watch: Watch | None = None,
     pace: Pace | None = None,
     progress: Progress,
@@ -55,11 +56,12 @@ def control_loop(
         cycles: how many at most.
         schedule: of the bounds; a command on its bound counts as saturated.
         recovery: what looks after a contact that can be lost.
+        beats: see `ControlCycle`.
         watch: shown every step, outside the clock.
         pace: see `Pace`; as fast as it goes if not given.
         progress, stop: see `Progress`, `Stop`.
     """
-    cycle = ControlCycle(plant, controller, setpoint, schedule, recovery)
+    cycle = ControlCycle(plant, controller, setpoint, schedule, recovery, beats=beats)
     low, high = (side.tolist() for side in schedule.first_command)
     with quiet_memory():
         for k in range(cycles):

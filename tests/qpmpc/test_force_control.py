@@ -22,7 +22,7 @@ from qpmpc import (
     axis_model,
     contact_model,
 )
-from qpmpc.config import FREE, Disturbance
+from qpmpc.config import FREE, Disturbance, RhythmConfig
 
 PERIOD = 1e-3
 KINDS = Disturbance.__args__
@@ -124,6 +124,11 @@ FAULTY = ("observer.tissue_acceleration", "observer.tissue_jerk", "observer.pati
           "observer.force_gate")  # fmt: skip
 """What matters where measurements are missing or wrong."""
 FAULTS = dict.fromkeys(range(30, 45), np.nan) | {60: 5.0}
+BEAT_FIELDS = tuple(
+    f"observer.rhythm.{f.name}" for f in fields(RhythmConfig) if f.name != "jerk_drift"
+)
+"""What has no effect before a few beats; tested in rhythm/test_preview.py."""
+LATER = SOLVER_FIELDS + BEAT_FIELDS
 TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
 TIGHT_VELOCITY = {"bounds.velocity": (-0.01, 0.01)}
 EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -138,6 +143,7 @@ EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "model.velocity_damping": (30.0, {}),
     "model.delay": (2, {}),
     "model.lag": (0.0, {}),
+    "model.damping": (20.0, {}),
     "observer.disturbance": ("constant", {}),
     "observer.force_noise": (0.01, {}),
     "observer.velocity_noise": (1e-3, {}),
@@ -148,6 +154,7 @@ EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "observer.tissue_jerk": (1.0, {}),
     "observer.patience": (0.005, {}),
     "observer.force_gate": (10.0, {}),
+    "observer.rhythm.jerk_drift": (500.0, {"observer.disturbance": "tracked"}),
     "bounds.command": ((-4.0, 4.0), {}),
     "bounds.rate": ((-0.5, 0.5), {}),
     "bounds.force": (PerAxis((1.95, 2.05), (2.95, 3.05), (3.95, 4.05)), {}),
@@ -181,7 +188,7 @@ def changed(record: Any, path: str, value: Any) -> Any:
     return replace(record, **{name: changed(getattr(record, name), rest, value) if rest else value})
 
 
-@pytest.mark.parametrize("path", [p for p in paths(ControllerConfig()) if p not in SOLVER_FIELDS])
+@pytest.mark.parametrize("path", [p for p in paths(ControllerConfig()) if p not in LATER])
 def test_every_field_has_an_effect(path: str) -> None:
     assert path in EFFECTS, f"state in EFFECTS what another value of {path} changes"
     value, context = EFFECTS[path]
@@ -228,7 +235,7 @@ def test_fields_of_the_solver_change_how_it_solves() -> None:
 
 
 def test_effects_are_stated_for_fields_there_are() -> None:
-    assert set(EFFECTS) | set(SOLVER_FIELDS) == set(paths(ControllerConfig()))
+    assert set(EFFECTS) | set(LATER) == set(paths(ControllerConfig()))
 
 
 # ---- measurements
