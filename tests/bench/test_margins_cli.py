@@ -109,7 +109,7 @@ def test_margins_as_a_process():
 
 
 def test_what_tune_prints_can_be_set(tmp_path):
-    asked = ("--duration", "2", "--stiffness", "1:1:1", "--evaluations", "60", "--model")
+    asked = ("--duration", "2", "--stiffness", "1:1:1", "--evaluations", "200", "--model")
     done = pulsempc("tune", "paper", "--sensitivity", "2.5", *asked)
     assert done.returncode == 0, done.stderr
     text, _, last = done.stdout.partition("largest Ms")
