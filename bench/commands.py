@@ -6,7 +6,7 @@ import tyro
 
 from bench.verbs.bench import Bench
 from bench.verbs.compare import Compare
-from bench.verbs.lists import Backends, Scenarios
+from bench.verbs.lists import Backends, Controllers, Scenarios
 from bench.verbs.run import Run
 
 Command = (
@@ -14,5 +14,6 @@ Command = (
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Scenarios, tyro.conf.subcommand("scenarios")]
+    | Annotated[Controllers, tyro.conf.subcommand("controllers")]
     | Annotated[Backends, tyro.conf.subcommand("backends")]
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -22,6 +22,7 @@ from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, stack
 from qpmpc.observer import KalmanObserver
 from qpmpc.penalties import SoftBound, ordered
+from qpmpc.protocol import About
 from qpmpc.reference import ExponentialReference
 from qpmpc.step import Step
 
@@ -121,6 +122,16 @@ class ForceController:
             compiled=config.solver.compiled,
         )  # fmt: skip
         self._measurement = np.zeros((count, axis.measured.shape[0]))
+
+    @property
+    def rows(self) -> Mapping[str, slice]:
+        """Where each bound's rows are in `Step.violation`."""
+        return self.general.problem.rows
+
+    def about(self) -> About:
+        """Return what there is to tell at the end of a run."""
+        form = {"name": self.general.problem.form, "reason": self.form_reason}
+        return About(self.general.compilation, form, self.general.solver.facts())
 
     def reset(self, force: Array) -> None:
         """Start at rest with the given contact force ``(n_axes,)`` [N]."""

@@ -12,6 +12,8 @@ from plant.errors import UnstableSimulationError
 from qpmpc.backends import Fact, backend_class
 from qpmpc.controller import Compilation
 from qpmpc.force_control import ForceController
+from qpmpc.kinds import controller_kind, controllers
+from qpmpc.protocol import ForceControl
 from scenarios.config import Scenario
 from scenarios.consistency import band
 from scenarios.errors import ScenarioError
@@ -28,7 +30,7 @@ Array = NDArray[np.float64]
 Report = Callable[[str, int, int], None]
 """Called now and then with the stage, cycles done and cycles in all."""
 Shadow = Callable[[ForceController], Watch]
-"""From the controller of a run to what is shown its steps."""
+"""From the controller of a run, one that solves a QP, to what is shown its steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class Assembly:
     cell: Cell
     setpoint: Setpoint | LiveSetpoint
     schedule: Schedule
-    controller: ForceController
+    controller: ForceControl
     log: Log
     another_cell: Callable[[], Cell]
     """Makes a cell of the same motion, as `cell` was at the start."""
@@ -77,7 +79,8 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had.
     """
     period, cycles = scenario.cell.period, scenario.cycles
-    backend_class(scenario.backend)  # one that is not there is told before anything is done
+    controller_kind(scenario.controller.kind)  # what is not there is told before anything is done
+    backend_class(scenario.backend)
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
     setpoint = _setpoint(scenario)
     schedule = Schedule(scenario)
@@ -98,7 +101,7 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
 
     cell = another_cell()
     controller = make_controller(scenario, cell, setpoint, schedule)
-    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows))
+    log = Log(cycles, scenario.axes, tuple(controller.rows))
     return Assembly(cell, setpoint, schedule, controller, log, another_cell)
 
 
@@ -113,7 +116,7 @@ def hold_still(cell: Cell, scenario: Scenario, setpoint: Setpoint | LiveSetpoint
 
 def make_controller(
     scenario: Scenario, cell: Cell, setpoint: Setpoint | LiveSetpoint, schedule: Schedule
-) -> ForceController:
+) -> ForceControl:
     """Make the controller of a scenario, for the start of a run.
 
     Args:
@@ -124,7 +127,7 @@ def make_controller(
     Raises:
         ScenarioError, QpmpcError: what the scenario asks for cannot be had.
     """
-    controller = ForceController(
+    controller = controller_kind(scenario.controller.kind).make(
         scenario.controller,
         scenario.axes,
         scenario.cell.period,
@@ -136,6 +139,21 @@ def make_controller(
     start = [setpoint.start[AXES.index(axis)] for axis in scenario.axes]
     controller.reset(np.array(start) * touching)
     return controller
+
+
+def require_backend(scenario: Scenario, what: str) -> None:
+    """Refuse a scenario whose controller takes no backend; ``what`` asks for one.
+
+    Raises:
+        ScenarioError: it takes none. UnknownNameError: there is no such controller.
+    """
+    kind = controller_kind(scenario.controller.kind)
+    if not kind.takes_backend:
+        able = ", ".join(other.name for other in controllers() if other.takes_backend)
+        raise ScenarioError(
+            f"{what}: no effect on controller.kind = {kind.name}, which takes no backend "
+            f"(those that do: {able})"
+        )
 
 
 def run_experiment(
@@ -165,7 +183,13 @@ def run_experiment(
     cycles = scenario.cycles
     made = assemble(scenario, report)
     log = made.log
-    watch = shadow(made.controller) if shadow else None
+    watch: Watch | None = None
+    if shadow is not None:
+        if not isinstance(made.controller, ForceController):
+            raise ScenarioError(
+                f"controller.kind: {scenario.controller.kind} solves no QP to watch"
+            )
+        watch = shadow(made.controller)
     if held is None:
         still = made.another_cell()
         hold_still(still, scenario, made.setpoint)
@@ -203,6 +227,7 @@ def run_experiment(
             made.setpoint.close()
             log.setpoint_source[:] = made.setpoint.source
     ended = perf_counter()
+    about = made.controller.about()
     if controlled is None:
         controlled = ended
     return Experiment(
@@ -216,12 +241,9 @@ def run_experiment(
             "uncompensated": ended - controlled if held is None else 0.0,
         },
         made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
-        made.controller.general.solver.facts(),
-        compilation=made.controller.general.compilation,
-        form={
-            "name": made.controller.general.problem.form,
-            "reason": made.controller.form_reason,
-        },
+        about.facts,
+        compilation=about.compilation,
+        form=about.form,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.interface import JointPlant, Plant
-from qpmpc.force_control import ForceController
+from qpmpc.protocol import ForceControl
 from qpmpc.step import Step
 from scenarios.cycle import ControlCycle
 from scenarios.live import LiveSetpoint
@@ -33,7 +33,7 @@ _EVERY = 250
 
 def control_loop(
     plant: Plant | JointPlant,
-    controller: ForceController,
+    controller: ForceControl,
     setpoint: Setpoint | LiveSetpoint,
     log: Log,
     cycles: int,

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from qpmpc.controller import Compiled
+from qpmpc.kinds import controller_kind
 from scenarios import Scenario, load_scenario
 
 FAILED = 1
@@ -29,9 +30,19 @@ class Asked(Protocol):
     def set(self) -> tuple[str, ...]: ...
 
 
-def load(asked: Asked, *, compiled: Compiled | None = None, **top: str | None) -> Scenario:
+def load(
+    asked: Asked,
+    *,
+    compiled: Compiled | None = None,
+    controller: str | None = None,
+    **top: str | None,
+) -> Scenario:
+    if controller is not None:
+        controller_kind(controller)  # an unknown one is told before anything is done
     keys = {"duration": asked.duration, "seed": asked.seed, **top}
     chosen = (f"controller.solver.compiled={compiled}",) if compiled else ()
+    if controller is not None:
+        chosen += (f"controller.kind={controller}",)
     return load_scenario(
         asked.scenario,
         top={key: value for key, value in keys.items() if value is not None},
