@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,6 +12,11 @@ from qpmpc.errors import UnknownNameError
 from qpmpc.force_control import Axis, ForceController
 from qpmpc.joints import JointSpace
 from qpmpc.protocol import ForceControl
+from qpmpc.rivals.active_observer import ActiveObserverLaw
+from qpmpc.rivals.law import Law, LawController
+from qpmpc.rivals.learning import LearningLaw
+from qpmpc.rivals.paper_law import paper_law
+from qpmpc.rivals.pi import PiLaw
 
 
 class Maker(Protocol):
@@ -72,7 +77,26 @@ def controller_kind(name: str) -> ControllerKind:
     return _table[name]
 
 
-register_controller(
+def by_law(law: Callable[[ControllerConfig, int, float], Law]) -> Maker:
+    """Return what makes a controller that follows a law; the law is made of configuration, number
+    of axes and period [s]. No law asks for a backend or for the joints.
+    """
+
+    def make(
+        config: ControllerConfig,
+        axes: Sequence[Axis],
+        period: float,
+        backend: str | type[Backend] = "",  # noqa: ARG001
+        *,
+        joints: JointSpace | None = None,  # noqa: ARG001
+        moving: Collection[str] = (),
+    ) -> LawController:
+        return LawController(law(config, len(axes), period), axes, config, moving)
+
+    return make
+
+
+for _kind in (
     ControllerKind(
         "mpc",
         "predictive, with bounds, a disturbance observer and any backend",
@@ -80,5 +104,34 @@ register_controller(
         "controller",
         ForceController,
         takes_backend=True,
-    )
-)
+    ),
+    ControllerKind(
+        "paper-law",
+        "the paper's law: closed form, no disturbance state, no delay in the model",
+        "Dominici et al., IROS 2009",
+        "controller.paper_law",
+        paper_law,
+    ),
+    ControllerKind(
+        "aob",
+        "two active observers, one for the force and one for the tissue's motion",
+        "the paper's [10]; Cortesao, J. Intelligent and Robotic Systems 48, 2007",
+        "controller.aob",
+        by_law(ActiveObserverLaw),
+    ),
+    ControllerKind(
+        "pi",
+        "PI on the force around a velocity loop, the tissue's velocity fed forward",
+        "textbook; feed-forward as in Yuen et al., IEEE Trans. Robotics 26, 2010",
+        "controller.pi",
+        by_law(PiLaw),
+    ),
+    ControllerKind(
+        "pi-ilc",
+        "the same, with iterative learning over the known periods of heart and breath",
+        "the paper's [8]; learning as in Bristow et al., IEEE Control Systems 26, 2006",
+        "controller.pi, controller.ilc",
+        by_law(LearningLaw),
+    ),
+):
+    register_controller(_kind)

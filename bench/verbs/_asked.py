@@ -40,9 +40,8 @@ def load(
     if controller is not None:
         controller_kind(controller)  # an unknown one is told before anything is done
     keys = {"duration": asked.duration, "seed": asked.seed, **top}
-    chosen = (f"controller.solver.compiled={compiled}",) if compiled else ()
-    if controller is not None:
-        chosen += (f"controller.kind={controller}",)
+    asked_for = {"controller.solver.compiled": compiled, "controller.kind": controller}
+    chosen = (f"{key}={value}" for key, value in asked_for.items() if value is not None)
     return load_scenario(
         asked.scenario,
         top={key: value for key, value in keys.items() if value is not None},
