@@ -15,8 +15,6 @@ class Asked(Protocol):
     """The options that say which experiment is meant."""
 
     @property
-    def scenario(self) -> str: ...
-    @property
     def motion(self) -> Path | None: ...
     @property
     def beats(self) -> Path | None: ...
@@ -32,6 +30,7 @@ class Asked(Protocol):
 
 def load(
     asked: Asked,
+    name: str,
     *,
     compiled: Compiled | None = None,
     controller: str | None = None,
@@ -43,7 +42,7 @@ def load(
     asked_for = {"controller.solver.compiled": compiled, "controller.kind": controller}
     chosen = (f"{key}={value}" for key, value in asked_for.items() if value is not None)
     return load_scenario(
-        asked.scenario,
+        name,
         top={key: value for key, value in keys.items() if value is not None},
         motion=asked.motion,
         beats=asked.beats,

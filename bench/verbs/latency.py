@@ -167,7 +167,7 @@ class Latency:
         """Return the scenario with each set of axes."""
         length: tuple[str, ...] = ()
         if self.cycles is not None:
-            length = (f"duration={self.cycles * load(self).cell.period!r}",)
+            length = (f"duration={self.cycles * load(self, self.scenario).cell.period!r}",)
             self._with(f"--cycles {self.cycles}, in seconds", "duration", *length)
         found = [
             self._with(f"--axes {','.join(axes)}", "axes", *length, f"axes={json.dumps(axes)}")
@@ -180,7 +180,7 @@ class Latency:
     def _horizons(self) -> list[int]:
         """Return the horizons, each checked against the scenario's other keys."""
         if self.horizon is None:
-            return [load(self).controller.horizon]
+            return [load(self, self.scenario).controller.horizon]
         found = []
         for text in _list("--horizon", self.horizon):
             if not text.isascii() or not text.isdecimal():
@@ -193,7 +193,7 @@ class Latency:
     def _with(self, option: str, key: str, *settings: str) -> Scenario:
         """Load with more settings; what is wrong with ``key`` is the option's fault."""
         try:
-            return load(replace(self, set=(*self.set, *settings)))
+            return load(replace(self, set=(*self.set, *settings)), self.scenario)
         except ScenarioKeyError as error:
             if error.key == key or error.key.startswith(f"{key}."):
                 raise ScenarioError(f"{option}: {error.reason}") from None

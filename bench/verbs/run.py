@@ -59,7 +59,11 @@ class Run:
     def run(self) -> int:
         """Simulate, write, show; return the exit code."""
         scenario = load(
-            self, backend=self.backend, compiled=self.compiled, controller=self.controller
+            self,
+            self.scenario,
+            backend=self.backend,
+            compiled=self.compiled,
+            controller=self.controller,
         )
         if self.backend is not None:
             require_backend(scenario, f"--backend {self.backend}")
