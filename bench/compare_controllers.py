@@ -1,4 +1,4 @@
-"""Controllers against each other: the same motions, noise and setpoint, and one row for each run."""
+"""Controllers against each other: the same motions, noise and setpoint, one row for each run."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -37,6 +37,16 @@ class Maker(Protocol):
 
 
 @dataclass(frozen=True)
+class Tunable:
+    """A key whose value is found by a search, and where it is looked for, in equal ratios."""
+
+    key: str
+    """Dotted, below ``controller``."""
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class ControllerKind:
     """A controller that can be asked for by its name."""
 
@@ -48,6 +58,8 @@ class ControllerKind:
     table: str
     """Which keys are its own."""
     make: Maker
+    tunables: tuple[Tunable, ...] = ()
+    """What ``python -m bench.tune_rivals`` tunes."""
     takes_backend: bool = False
     """Whether it solves its QP with the backend that is asked for."""
 
@@ -103,6 +115,12 @@ for _kind in (
         "this library",
         "controller",
         ForceController,
+        (
+            Tunable("increment_weight", 1e-5, 1e-1),
+            Tunable("reference_time", 2e-3, 1e-1),
+            Tunable("observer.tissue_jerk_drift", 1.0, 1e4),
+            Tunable("observer.input_drift", 1e-3, 10.0),
+        ),
         takes_backend=True,
     ),
     ControllerKind(
@@ -111,6 +129,11 @@ for _kind in (
         "Dominici et al., IROS 2009",
         "controller.paper_law",
         paper_law,
+        (
+            Tunable("paper_law.increment_weight", 1e-5, 1e-1),
+            # longer, and the reference does not reach the setpoint within N = 8 (reading 11)
+            Tunable("paper_law.reference_time", 5e-4, 2.67e-3),
+        ),
     ),
     ControllerKind(
         "aob",
@@ -118,6 +141,11 @@ for _kind in (
         "the paper's [10]; Cortesao, J. Intelligent and Robotic Systems 48, 2007",
         "controller.aob",
         by_law(ActiveObserverLaw),
+        (
+            Tunable("aob.closed_loop_time", 2e-3, 1e-1),
+            Tunable("aob.disturbance_drift", 1e-3, 10.0),
+            Tunable("aob.jerk_drift", 1.0, 1e4),
+        ),
     ),
     ControllerKind(
         "pi",
@@ -125,6 +153,13 @@ for _kind in (
         "textbook; feed-forward as in Yuen et al., IEEE Trans. Robotics 26, 2010",
         "controller.pi",
         by_law(PiLaw),
+        (
+            Tunable("pi.proportional", 3.0, 1000.0),
+            Tunable("pi.integral", 1.0, 1e5),
+            Tunable("pi.velocity", 20.0, 2000.0),
+            Tunable("pi.feedforward", 0.1, 1.0),
+            Tunable("pi.filter_time", 2e-4, 5e-2),
+        ),
     ),
     ControllerKind(
         "pi-ilc",
@@ -132,6 +167,12 @@ for _kind in (
         "the paper's [8]; learning as in Bristow et al., IEEE Control Systems 26, 2006",
         "controller.pi, controller.ilc",
         by_law(LearningLaw),
+        (
+            Tunable("ilc.heart_gain", 0.05, 1.0),
+            Tunable("ilc.breath_gain", 0.05, 1.0),
+            Tunable("ilc.cutoff", 2.0, 60.0),
+            Tunable("ilc.forgetting", 1e-3, 0.3),
+        ),
     ),
 ):
     register_controller(_kind)

@@ -41,8 +41,8 @@ class Compare:
     """Names of shipped scenarios (see `pulsempc scenarios`) or paths of TOML files: one for
     backends, `constrained` if not given; any number for controllers, every motion if not given."""
     backends: Annotated[str | None, _arg(metavar="A,B,C")] = None
-    """Solvers, see `pulsempc backends`, separated by commas; analytic,daqp,osqp,clarabel,piqp,casadi
-    if not given."""
+    """Solvers, see `pulsempc backends`, separated by commas; if not given
+    analytic,daqp,osqp,clarabel,piqp,casadi."""
     controllers: Annotated[str | None, _arg(metavar="A,B,C")] = None
     """Controllers to compare in place of solvers, see `pulsempc controllers`."""
     bounds: Literal["on", "off"] = "on"
@@ -75,7 +75,8 @@ class Compare:
                 f"{' '.join(self.scenarios)}: backends are compared on one scenario; "
                 "several are for --controllers"
             )
-        names = _names("--backends", self.backends or _BACKENDS)
+        asked = _BACKENDS if self.backends is None else self.backends
+        names = _names("--backends", asked)
         for name in names:
             backend_class(name)  # an unknown one is told before anything is done
         scenario = self._load(*(self.scenarios or ("constrained",)))

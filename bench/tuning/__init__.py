@@ -1,0 +1,1 @@
+"""What tuning the controllers needs: a plant that is cheap, what is to be small, a search."""
