@@ -36,7 +36,7 @@ TRAINING = (("regular", 101), ("paper", 102), ("early-beats", 103))
 """Scenario and seed of each training motion."""
 DURATION = 6.0
 """Of each [s]."""
-FILLED, DESCENDED, ON_THE_CELL = 64, 48, 24
+FILLED, DESCENDED, ON_THE_CELL = 64, 40, 16
 """Evaluations: points that fill the ranges and steps of the simplex on the linear model, steps of
 the simplex on the cell."""
 ORDER = ("pi", "pi-ilc", "aob", "paper-law", "mpc")

@@ -235,10 +235,7 @@ def test_a_late_command_is_not_applied(kind, own, make):
     controller = make(kind, config, "xz")
     controller.reset(np.zeros(2))
     arguments = np.zeros(2), np.zeros(2), np.ones((9, 2))
-    if own:
-        step = controller.step(*arguments)
-    else:
-        step = controller.step(*arguments, deadline=0.0)
+    step = controller.step(*arguments, deadline=None if own else 0.0)
     assert (step.status, step.source) == (Status.LATE, Source.HOLD)
     assert not step.command.any()
     controller.prepare()

@@ -92,7 +92,7 @@ def test_a_higher_gain_learns_faster_and_none_not_at_all(make, loop):
 
 
 def test_what_is_forgotten_has_to_be_learned_again(make, loop):
-    """w = (1 - f)(w + g e) and e = d - w: what stays of the error is 1 - (1-f)g / (1-(1-f)(1-g))."""
+    """w = (1 - f)(w + g e) and e = d - w leave 1 - (1 - f) g / (1 - (1 - f)(1 - g)) of d."""
     config = learning(forgetting=0.3)
     found = errors(loop(make("pi-ilc", config), config, 4000, tissue=beat(0.5)), 0.5)
     alone = errors(loop(make("pi", CONFIG), CONFIG, 4000, tissue=beat(0.5)), 0.5)
