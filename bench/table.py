@@ -203,7 +203,7 @@ def controller_table(kinds: Iterable[ControllerKind]) -> Table:
     for heading in ("what it is", "from", "keys"):
         table.add_column(heading)
     for kind in kinds:
-        table.add_row(kind.name, kind.summary, kind.source, kind.table)
+        table.add_row(kind.name, kind.summary, escape(kind.source), kind.table)
     return table
 
 

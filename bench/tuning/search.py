@@ -26,7 +26,7 @@ class Found:
 
 def fill(objective: Objective, ranges: Sequence[Tunable], count: int, seed: int) -> Found:
     """Evaluate ``count`` points of a scrambled Sobol sequence, in equal ratios along each range."""
-    points = qmc.Sobol(len(ranges), rng=seed).random(count)
+    points = qmc.Sobol(len(ranges), rng=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
     values = [spread(point, ranges) for point in points]
     costs = [objective(value) for value in values]
     best = int(np.argmin(costs))

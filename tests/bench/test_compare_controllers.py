@@ -72,7 +72,7 @@ def test_every_run_has_its_folder_and_all_see_the_same_motion(compared, summary)
         json.loads((folder / "regular" / name / "summary.json").read_text())["axes"]
         for name in ("pi", "mpc")
     ]
-    assert [axes["z"]["uncompensated"] for axes in held][0] == held[1]["z"]["uncompensated"]
+    assert held[0]["z"]["uncompensated"] == held[1]["z"]["uncompensated"]
     assert min(matplotlib.image.imread(folder / "comparison.png").shape[:2]) > 300
 
 

@@ -79,7 +79,7 @@ def test_an_unknown_controller_is_told_before_anything_is_done():
 
 def test_what_watches_a_qp_needs_one():
     scenario = load_scenario("paper", top={"duration": 0.01}, settings=["controller.kind=pi"])
-    with pytest.raises(ScenarioError, match="controller.kind: pi solves no QP"):
+    with pytest.raises(ScenarioError, match=r"controller\.kind: pi solves no QP"):
         run_experiment(
             scenario, report=lambda *_: None, stop=lambda: False, shadow=lambda _: pytest.fail
         )
@@ -100,7 +100,7 @@ def test_the_learning_controller_is_told_the_periods_of_the_motion():
 
 @pytest.mark.parametrize("value", ["0.0", "-1.0", '"fast"', "[1.0]"])
 def test_a_wrong_rate_is_still_the_motions_error(value):
-    with pytest.raises(ScenarioError, match="motion.heart_rate"):
+    with pytest.raises(ScenarioError, match=r"motion\.heart_rate"):
         load_scenario("paper", settings=[f"motion.heart_rate={value}"])
 
 
