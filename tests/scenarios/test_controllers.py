@@ -37,7 +37,7 @@ def test_every_controller_runs_on_the_cell_and_is_better_than_none(kind, runs):
 def test_it_starts_without_a_bump(kind, simulate):
     """At rest on the setpoint, with a sensor without noise."""
     run = simulate("ideal", f"controller.kind={kind}", duration=0.01, still=False)
-    assert np.abs(run.log.command[0]).max() < 1e-6
+    assert np.abs(run.log.command[0]).max() < 1e-4
 
 
 def test_the_chatter_of_the_torques_is_that_of_their_increments(runs):
