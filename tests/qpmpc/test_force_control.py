@@ -117,6 +117,8 @@ SOLVER_FIELDS = (
     "solver.form",
 )  # fmt: skip
 """What does not change the answer; tested below by what it does change."""
+RIVALS = ("kind", "pi.", "ilc.", "aob.", "paper_law.")
+"""What others than this controller read; tested with them, in ``rivals``."""
 TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
 TIGHT_VELOCITY = {"bounds.velocity": (-0.01, 0.01)}
 EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -161,7 +163,7 @@ def paths(record: Any, prefix: str = "") -> Iterator[str]:
         value = getattr(record, f.name)
         if is_dataclass(value):
             yield from paths(value, f"{prefix}{f.name}.")
-        else:
+        elif not (prefix + f.name).startswith(RIVALS):
             yield prefix + f.name
 
 

@@ -170,6 +170,7 @@ def test_no_number_anywhere_in_an_error_makes_none():
     assert statistics(np.array([3.0, -4.0])) == {
         "rms": pytest.approx(np.sqrt(12.5)),
         "max": 4.0,
+        "p99": pytest.approx(3.99),
         "peak_to_peak": 7.0,
     }
 

@@ -90,14 +90,3 @@ def test_a_state_that_the_command_does_not_reach_is_told():
     model = LinearModel(np.diag([0.5, 0.7]), np.array([[1.0], [0.0]]), np.eye(1, 2), 1e-3)
     with pytest.raises(ModelError, match="does not reach"):
         place(model, np.zeros(2))
-
-
-@pytest.mark.parametrize("key", ["closed_loop_time", "disturbance_drift", "jerk_drift"])
-def test_every_key_has_an_effect(key, make, loop):
-    def command(factor):
-        aob = replace(CONFIG.aob, **{key: factor * getattr(CONFIG.aob, key)})
-        config = replace(CONFIG, aob=aob)
-        asked = {"tissue": lambda k: 0.05 * np.sin(0.02 * k), "setpoint": lambda k: 1.0}
-        return loop(make("aob", config), config, 200, **asked).command
-
-    assert np.abs(command(1.0) - command(3.0)).max() > 0.01

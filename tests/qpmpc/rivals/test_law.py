@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from qpmpc.kinds import (
     controllers,
     register_controller,
 )
+from qpmpc.rivals.config import LearningConfig
 from qpmpc.rivals.law import LawController
 from qpmpc.rivals.pi import PiLaw
 from qpmpc.status import Status
@@ -66,6 +67,31 @@ def test_anybodys_controller_can_be_entered(monkeypatch, make, loop):
     register_controller(ControllerKind("still", "does nothing", "here", "", by_law(Still)))
     assert [kind.name for kind in controllers()] == ["still"]
     assert not loop(make("still", CONFIG), CONFIG, 5, setpoint=lambda k: 1.0).force.any()
+
+
+TABLES = {"pi": "pi", "ilc": "pi-ilc", "aob": "aob", "paper_law": "paper-law"}
+SHORT = LearningConfig(0.11, 0.17, 0.5, 0.5, 15.0, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [(t, f.name) for t in TABLES for f in fields(getattr(ControllerConfig(), t))],
+)
+def test_every_key_has_an_effect(table, key, make, loop):
+    def command(factor):
+        config = replace(CONFIG, ilc=SHORT)
+        own = getattr(config, table)
+        own = replace(own, **{key: factor * getattr(own, key)})
+        config = replace(config, **{table: own})
+        asked = {"tissue": lambda k: 0.05 * np.sin(0.05 * k), "setpoint": lambda k: 1.0}
+        return loop(make(TABLES[table], config), config, 400, **asked).command
+
+    assert np.abs(command(1.0) - command(0.7)).max() > 1e-3
+
+
+def test_every_table_is_named_where_controllers_are_listed():
+    named = {table for kind in controllers() for table in kind.table.split(", ")}
+    assert {f"controller.{table}" for table in TABLES} <= named
 
 
 # --- start and bounds ----------------------------------------------------------------------------

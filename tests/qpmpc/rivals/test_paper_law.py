@@ -44,13 +44,3 @@ def test_a_constant_disturbance_leaves_the_offset_of_the_formula(make, loop):
     decay = np.exp(-np.arange(1, 9) / 2.5)
     expected = -1.5 * gain @ problem.prediction.Upsilon[:, 0] / (gain @ (1 - decay))
     assert -force == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize("key", ["increment_weight", "reference_time"])
-def test_every_key_has_an_effect(key, make, loop):
-    def command(factor):
-        own = replace(CONFIG.paper_law, **{key: factor * getattr(CONFIG.paper_law, key)})
-        config = replace(CONFIG, paper_law=own)
-        return loop(make("paper-law", config), config, 50, setpoint=lambda k: 1.0).command
-
-    assert np.abs(command(1.0) - command(2.0)).max() > 0.01
