@@ -106,16 +106,7 @@ class ActiveObserverLaw:
         )
         # A command acts after the delay, the lag, and half of the period over which it is held.
         later = model.delay * period + model.lag + period / 2
-        self._compensation = np.array(
-            [
-                [
-                    0.0,
-                    model.velocity_damping,
-                    1.0 + model.velocity_damping * later,
-                    later + model.velocity_damping * later**2 / 2,
-                ]
-            ]
-        )
+        self._compensation = compensation(model.velocity_damping, later)
         self._way, self._velocity, self._work = np.zeros((3, n_axes))
         self._motion_share, self._wished = np.zeros((1, n_axes)), np.zeros((1, n_axes))
         for observer in (self._force, self._motion):
@@ -158,6 +149,18 @@ class ActiveObserverLaw:
         self._force.predict(self._work)
         self._work[:] = 0.0
         self._motion.predict(self._work)
+
+
+def compensation(damping: float, later: float) -> Array:
+    """Return the row that makes a_e + K2 v_e, ``later`` [s] ahead, of position to jerk, ``(1, 4)``.
+
+    Args:
+        damping: K2 [1/s].
+        later: how far ahead [s]; the jerk is taken to go on.
+    """
+    return np.array(
+        [[0.0, damping, 1.0 + damping * later, later + damping * later**2 / 2]], dtype=np.float64
+    )
 
 
 def place(model: LinearModel, poles: Array) -> Array:

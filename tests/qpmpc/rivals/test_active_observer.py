@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from qpmpc import ControllerConfig, ModelConfig, contact_model, with_delay
 from qpmpc.errors import ModelError
 from qpmpc.models import LinearModel
-from qpmpc.rivals.active_observer import ActiveObserverLaw, place
+from qpmpc.rivals.active_observer import ActiveObserverLaw, compensation, place
 from qpmpc.rivals.config import ActiveObserverConfig
 from qpmpc.rivals.law import LawController
 
@@ -65,6 +65,32 @@ def test_the_motion_is_cancelled_before_the_force_tells_it(loop):
     )
     assert np.abs(with_motion.force[100:]).max() < 0.2 * np.abs(without.force).max()
     assert np.abs(with_motion.force[-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0, 0.0), (1, 0.001), (3, 0.004)])
+def test_the_share_for_the_motion_comes_at_its_time(delay, lag, loop):
+    """Half a cycle earlier or later, and the error is larger."""
+    config = ControllerConfig(
+        model=ModelConfig(delay=delay, lag=lag), aob=ActiveObserverConfig(disturbance_drift=1e-3)
+    )
+    right = delay * 1e-3 + lag + 0.5e-3
+    error = {}
+    for shift in (-0.5e-3, 0.0, 0.5e-3):
+        law, controller = made(config)
+        if shift:
+            law._compensation = compensation(20.0, right + shift)
+        run = loop(controller, config, 2000, tissue=lambda k: 0.1 * np.sin(0.004 * (k + 0.5)))
+        error[shift] = float(np.std(run.force[500:]))
+    assert error[0.0] < 0.7 * min(error[-0.5e-3], error[0.5e-3])
+
+
+def test_the_compensation_extrapolates_a_motion_of_constant_jerk():
+    t, later = 0.3, 0.004
+    velocity, acceleration, jerk = 0.1 + 2 * t + 5 * t**2, 2 + 10 * t, 10.0
+    ahead = t + later
+    expected = (2 + 10 * ahead) + 20 * (0.1 + 2 * ahead + 5 * ahead**2)
+    found = compensation(20.0, later) @ [7.0, velocity, acceleration, jerk]
+    assert found[0] == pytest.approx(expected)
 
 
 @settings(max_examples=15, deadline=None)

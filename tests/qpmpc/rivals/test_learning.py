@@ -127,6 +127,19 @@ def test_the_filter_q_has_no_phase_and_halves_the_power_at_its_cutoff():
     assert np.allclose(out[middle], np.sqrt(0.5) * np.sin(phase[middle]), atol=2e-3)
 
 
+@pytest.mark.parametrize("cycles", [250.0, 250.5, 249.7])
+def test_what_comes_again_comes_a_period_later_to_the_fraction_of_a_cycle(cycles):
+    response = np.zeros(4096)
+    response[0] = 1.0
+    memory = Memory(response, 1, cycles=cycles, gain=1.0, cutoff=0.2, forgetting=0.0)
+    shape = lambda k: np.exp(-0.5 * ((k - 120) / 12) ** 2)  # noqa: E731
+    out = [
+        float(memory.recall(np.array([shape(k) if k < 240 else 0.0]), KNOWN)[0]) for k in range(480)
+    ]
+    again = shape(np.arange(480) - cycles)
+    assert np.allclose(out, (1 - 1e-3 / 1.001) * again, atol=4e-3)
+
+
 def test_nothing_is_learned_from_a_gap():
     response = np.zeros(4096)
     response[0] = 1.0

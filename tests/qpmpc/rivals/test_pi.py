@@ -70,7 +70,7 @@ def test_the_end_of_a_gap_is_no_jump_of_the_force():
     law = PiLaw(having(filter_time=0.0, proportional=0.0, integral=0.0), 1, 1e-3)
     law.reset(np.zeros(1))
     zero, gap = np.zeros(1), np.zeros(1, dtype=np.bool_)
-    law.decide(zero, zero, zero, gap)
+    assert law.decide(zero, np.array([0.1]), zero, gap)[0] == pytest.approx((20.0 - 150.0) * 0.1)
     assert law.decide(np.array([5.0]), zero, zero, KNOWN)[0] == 0.0
     slope = law.decide(np.array([5.1]), zero, zero, KNOWN)[0]
     assert slope == pytest.approx(-150.0 * 0.1 / (2500 * 1e-3))
