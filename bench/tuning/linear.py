@@ -29,7 +29,7 @@ class LinearCell:
             config: of the cell.
             motion: of the tissue.
             force: contact force at the start, ``(3,)`` [N].
-            torque_gain: joint torques per command, ``(6, 3)`` [N m s^2/m].
+            torque_gain: joint torques per command, ``(n_joints, 3)`` [N m s^2/m].
             seed: of the sensor's noise.
         """
         self.period = config.period
@@ -49,7 +49,7 @@ class LinearCell:
         self._limit = config.protection.force if config.protection.enabled else np.inf
         self._waiting = np.zeros((config.imperfections.delay + 1, 3))
         self._sensor = ForceSensor(config.sensor, config.period, np.random.SeedSequence(seed))
-        self._tool, self._torque, self._k = np.zeros(3), np.zeros(6), 0
+        self._tool, self._torque, self._k = np.zeros(3), np.zeros(len(torque_gain)), 0
         self._trip: Trip | None = None
 
     def measure(self) -> Measurement:
