@@ -16,6 +16,7 @@ from qpmpc.errors import BoundsError, ShapeError, UnknownNameError
 from qpmpc.fallback import Source
 from qpmpc.force_control import Axis, axis_bounds, check_axes
 from qpmpc.joints import JointSpace
+from qpmpc.native import CompiledStepError
 from qpmpc.protocol import About
 from qpmpc.residuals import UNKNOWN
 from qpmpc.status import Status
@@ -75,8 +76,11 @@ class LawController:
             moving: names of bounds that `move` will change.
 
         Raises:
-            QpmpcError: an axis is not one, or a bound does not allow rest.
+            QpmpcError: an axis is not one, a bound does not allow rest, or a compiled step is
+                required.
         """
+        if config.solver.compiled == "on":
+            raise CompiledStepError(_NO_QP)
         self.axes = check_axes(axes)
         for name in moving:
             _check_movable(name)
@@ -191,7 +195,7 @@ class LawController:
 
     def about(self) -> About:
         """Return what there is to tell: there is no QP."""
-        return About(Compilation(False, "there is no QP", 0))
+        return About(Compilation(False, _NO_QP, 0))
 
     def _check(self, force: Array, velocity: Array, preview: Array) -> None:
         shape = self._command.shape
@@ -203,6 +207,7 @@ class LawController:
 
 
 _NO_ROWS = np.zeros(0)
+_NO_QP = "the controller follows a law and solves no QP"
 
 
 def _check_movable(name: str) -> None:

@@ -17,6 +17,7 @@ from qpmpc.kinds import (
     controllers,
     register_controller,
 )
+from qpmpc.native import CompiledStepError
 from qpmpc.rivals.config import LearningConfig
 from qpmpc.rivals.law import LawController
 from qpmpc.rivals.pi import PiLaw
@@ -188,6 +189,13 @@ def test_bad_arguments_are_told(kind, make):
         make(kind, bounded(command=(1.0, 2.0)))
     with pytest.raises(BoundsError, match="lower must not exceed upper"):
         make(kind, bounded(rate=(2.0, 1.0)))
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_a_compiled_step_that_is_required_is_not_to_be_had(kind, make):
+    with pytest.raises(CompiledStepError, match="solves no QP"):
+        make(kind, replace(CONFIG, solver=SolverConfig(compiled="on")))
+    make(kind, replace(CONFIG, solver=SolverConfig(compiled="off")))
 
 
 @pytest.mark.parametrize("kind", LAWS)
