@@ -1,8 +1,8 @@
 """Tune every controller by one procedure and budget; write what was found as data.
 
-Each is tuned on the same training motions, whose seeds are not those of the comparison, for the
-same cost: first on the linear model of the contact with the sensor's noise, delay and lag, then on
-the cell. ``pi-ilc`` learns on top of ``controller.pi``, so ``pi`` is tuned before it.
+Each is tuned on the cell, on the same training motions, whose seeds are not those of the
+comparison, for the same cost. ``pi-ilc`` learns on top of ``controller.pi``, so ``pi`` is tuned
+before it.
 """
 
 import argparse
@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.tuning.cost import CHATTER, WORST, Cost, cost
-from bench.tuning.linear import LinearCell
-from bench.tuning.search import Found, descend, fill
+from bench.tuning.search import descend, fill
 from plant.cell import Cell, heart_programme
 from plant.errors import PlantError, UnstableSimulationError
-from plant.interface import Plant
 from qpmpc.errors import QpmpcError
 from qpmpc.kinds import ControllerKind, controller_kind
 from scenarios import Log, Scenario, ScenarioError, Schedule, Setpoint, load_scenario
@@ -36,9 +34,8 @@ TRAINING = (("regular", 101), ("early-beats", 102))
 """Scenario and seed of each training motion."""
 DURATION = 6.0
 """Of each [s]."""
-FILLED, DESCENDED, ON_THE_CELL = 48, 32, 12
-"""Evaluations: points that fill the ranges and steps of the simplex on the linear model, steps of
-the simplex on the cell."""
+FILLED, DESCENDED = 32, 32
+"""Evaluations: points that fill the ranges, and those of the simplex from the best of them."""
 ORDER = ("pi", "pi-ilc", "aob", "paper-law", "mpc")
 RESULTS = Path(__file__).parent / "tuned_rivals.json"
 _DIGITS = 3
@@ -46,15 +43,12 @@ _DIGITS = 3
 
 @dataclass(frozen=True, eq=False)
 class Exercise:
-    """A training motion, with plants to run it on."""
+    """A training motion, with cells to run it on."""
 
     scenario: Scenario
     held: Array
     """Force error of a tool held still, ``(cycles, 3)`` [N]."""
-    home: Cell
-    """At its start; asked about its joints, never moved."""
     cell: Callable[[], Cell]
-    linear: Callable[[], LinearCell]
 
 
 def exercise(name: str, seed: int, duration: float) -> Exercise:
@@ -70,17 +64,11 @@ def exercise(name: str, seed: int, duration: float) -> Exercise:
             config, motion, force=start, seed=seed, axes=scenario.axes, heart=heart, library=library
         )
 
-    home = cell()
-    gain = home.joint_space(np.zeros(3), np.zeros(3)).command_gain
-
-    def linear() -> LinearCell:
-        return LinearCell(config, motion, force=start, torque_gain=gain, seed=seed)
-
     held = -config.contact.stiffness * np.asarray(motion.position)
-    return Exercise(scenario, held, home, cell, linear)
+    return Exercise(scenario, held, cell)
 
 
-def run(exercise: Exercise, settings: Mapping[str, float], kind: str, *, linear: bool) -> Cost:
+def run(exercise: Exercise, settings: Mapping[str, float], kind: str) -> Cost:
     """Run one motion under a controller with the given keys below ``controller``.
 
     Raises:
@@ -95,12 +83,12 @@ def run(exercise: Exercise, settings: Mapping[str, float], kind: str, *, linear:
             *(f"controller.{key}={value!r}" for key, value in settings.items()),
         ],
     )
-    plant: Plant = exercise.linear() if linear else exercise.cell()
+    cell = exercise.cell()
     setpoint, schedule = _setpoint(scenario), Schedule(scenario)
-    controller = make_controller(scenario, exercise.home, setpoint, schedule)
+    controller = make_controller(scenario, cell, setpoint, schedule)
     log = Log(scenario.cycles, scenario.axes, tuple(controller.rows))
     control_loop(
-        plant,
+        cell,
         controller,
         setpoint,
         log,
@@ -113,11 +101,11 @@ def run(exercise: Exercise, settings: Mapping[str, float], kind: str, *, linear:
 
 
 def mean_cost(
-    exercises: Sequence[Exercise], settings: Mapping[str, float], kind: str, *, linear: bool
+    exercises: Sequence[Exercise], settings: Mapping[str, float], kind: str
 ) -> tuple[float, list[Cost]]:
     """Return the mean over the motions, and what it is made of."""
     try:
-        costs = [run(each, settings, kind, linear=linear) for each in exercises]
+        costs = [run(each, settings, kind) for each in exercises]
     except (QpmpcError, UnstableSimulationError):
         return WORST, []
     return float(np.mean([each.total for each in costs])), costs
@@ -142,29 +130,21 @@ def tune(
     def named(values: Array) -> dict[str, float]:
         return {r.key: float(f"{v:.{_DIGITS}g}") for r, v in zip(ranges, values, strict=True)}
 
-    def objective(linear: bool) -> Callable[[Array], float]:
-        def value(values: Array) -> float:
-            settings = {**given, **named(values)}
-            return mean_cost(exercises, settings, kind.name, linear=linear)[0]
+    def objective(values: Array) -> float:
+        return mean_cost(exercises, {**given, **named(values)}, kind.name)[0]
 
-        return value
-
-    filled = fill(objective(True), ranges, FILLED, seed)
-    coarse = descend(objective(True), ranges, filled.values, DESCENDED, 0.1)
-    best: Found = min(filled, coarse, key=lambda found: found.cost)
-    fine = descend(objective(False), ranges, best.values, ON_THE_CELL, 0.05)
-    values = named(fine.values)
-    _, costs = mean_cost(exercises, {**given, **values}, kind.name, linear=False)
+    filled = fill(objective, ranges, FILLED, seed)
+    found = descend(objective, ranges, filled.values, DESCENDED, 0.1)
+    values = named(found.values)
+    _, costs = mean_cost(exercises, {**given, **values}, kind.name)
     return values, {
         "values": values,
-        "on_the_linear_model": {"values": named(best.values), "cost": best.cost},
-        "on_the_cell": {
-            "cost": fine.cost,
-            "runs": [
-                {"motion": name, "seed": motion, **asdict(each)}
-                for (name, motion), each in zip(TRAINING, costs, strict=bool(costs))
-            ],
-        },
+        "filled": {"values": named(filled.values), "cost": filled.cost},
+        "cost": found.cost,
+        "runs": [
+            {"motion": each.scenario.name, "seed": each.scenario.seed, **asdict(cost)}
+            for each, cost in zip(exercises, costs, strict=bool(costs))
+        ],
     }
 
 
@@ -186,7 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 if key.split(".")[0] in _below(kind)
             }
             values, result = tune(kind, exercises, before, given.seed)
-            print(kind.name, values, f"cost {result['on_the_cell']['cost']:.4f}", flush=True)
+            print(kind.name, values, f"cost {result['cost']:.4f}", flush=True)
             found = _known(given.out) | {kind.name: result}
             told = {
                 "command": "python -m bench.tune_rivals",

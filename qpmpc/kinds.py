@@ -116,10 +116,10 @@ for _kind in (
         "controller",
         ForceController,
         (
-            Tunable("increment_weight", 1e-5, 1e-1),
+            Tunable("increment_weight", 1e-4, 1e-1),
             Tunable("reference_time", 2e-3, 1e-1),
-            Tunable("observer.tissue_jerk_drift", 1.0, 1e4),
-            Tunable("observer.input_drift", 1e-3, 10.0),
+            Tunable("observer.tissue_jerk_drift", 1.0, 1e3),
+            Tunable("observer.input_drift", 1e-2, 3.0),
         ),
         takes_backend=True,
     ),
@@ -130,7 +130,7 @@ for _kind in (
         "controller.paper_law",
         paper_law,
         (
-            Tunable("paper_law.increment_weight", 1e-5, 1e-1),
+            Tunable("paper_law.increment_weight", 1e-4, 1e-1),
             # longer, and the reference does not reach the setpoint within N = 8 (reading 11)
             Tunable("paper_law.reference_time", 5e-4, 2.67e-3),
         ),
@@ -142,9 +142,9 @@ for _kind in (
         "controller.aob",
         by_law(ActiveObserverLaw),
         (
-            Tunable("aob.closed_loop_time", 2e-3, 1e-1),
-            Tunable("aob.disturbance_drift", 1e-3, 10.0),
-            Tunable("aob.jerk_drift", 1.0, 1e4),
+            Tunable("aob.closed_loop_time", 2e-3, 5e-2),
+            Tunable("aob.disturbance_drift", 1e-2, 3.0),
+            Tunable("aob.jerk_drift", 1.0, 1e3),
         ),
     ),
     ControllerKind(
@@ -154,11 +154,11 @@ for _kind in (
         "controller.pi",
         by_law(PiLaw),
         (
-            Tunable("pi.proportional", 3.0, 1000.0),
-            Tunable("pi.integral", 1.0, 1e5),
-            Tunable("pi.velocity", 20.0, 2000.0),
-            Tunable("pi.feedforward", 0.1, 1.0),
-            Tunable("pi.filter_time", 2e-4, 5e-2),
+            Tunable("pi.proportional", 10.0, 300.0),
+            Tunable("pi.integral", 10.0, 1e4),
+            Tunable("pi.velocity", 50.0, 800.0),
+            Tunable("pi.feedforward", 0.5, 1.0),
+            Tunable("pi.filter_time", 5e-4, 1e-2),
         ),
     ),
     ControllerKind(

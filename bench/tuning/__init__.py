@@ -1,1 +1,1 @@
-"""What tuning the controllers needs: a plant that is cheap, what is to be small, a search."""
+"""What tuning the controllers needs: what is to be small, and a search with a budget."""
