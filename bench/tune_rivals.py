@@ -172,9 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "command": "python -m bench.tune_rivals",
                 "seed": given.seed,
                 "motions": [{"motion": m, "seed": s, "duration": DURATION} for m, s in TRAINING],
-                "evaluations": {
-                    "fill": FILLED, "descend": DESCENDED, "on_the_cell": ON_THE_CELL,
-                },
+                "evaluations": {"fill": FILLED, "descend": DESCENDED},
                 "free_chatter": CHATTER,
                 "controllers": {name: found[name] for name in sorted(found)},
             }  # fmt: skip
