@@ -1,4 +1,4 @@
-"""The procedure that tunes the controllers: budget, cost, cheap plant, and what it left as data."""
+"""The procedure that tunes the controllers: budget, cost, and what it left as data."""
 
 from __future__ import annotations
 
@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 
 from bench import tune_rivals
-from bench.tune_rivals import ON_THE_CELL, RESULTS, TRAINING, exercise, mean_cost, run, tune
+from bench.tune_rivals import RESULTS, TRAINING, exercise, mean_cost, run, tune
 from bench.tuning.cost import CHATTER, WORST, Cost, cost
-from bench.tuning.linear import LinearCell
 from bench.tuning.search import descend, fill, gathered, spread
-from plant import CellConfig, ProtectionConfig, SensorConfig
-from plant.interface import Cause
 from qpmpc.config import ControllerConfig
 from qpmpc.kinds import Tunable, controller_kind, controllers
 from scenarios.log import Log
-from scenarios.motion import Motion
 
 RANGES = (Tunable("a", 1e-3, 1e3), Tunable("b", 1.0, 1e4))
 TUNED = json.loads(RESULTS.read_text())
@@ -106,62 +102,6 @@ def test_chatter_is_free_up_to_the_limit_and_a_trip_weighs_most():
     assert Cost(1.0, CHATTER, 1.0, 1.0).total <= WORST
 
 
-# --- the cheap plant -----------------------------------------------------------------------------
-
-
-def motion(n: int, speed: float) -> Motion:
-    time = np.arange(n) * 1e-3
-    way = np.outer(time * speed, [1.0, 0.0, 0.5])
-    return Motion(1e-3, time, way, way, way, np.zeros(0))
-
-
-def linear(n: int = 200, speed: float = 0.0, **changes) -> LinearCell:
-    config = replace(CellConfig(), sensor=SensorConfig("ideal"), **changes)
-    gain = np.ones((6, 3))
-    start = np.array([1.0, 0.0, -2.0])
-    return LinearCell(config, motion(n, speed), force=start, torque_gain=gain, seed=0)
-
-
-def test_tissue_that_moves_changes_the_force_by_the_spring():
-    plant = linear(speed=0.1)
-    for k in range(150):
-        assert plant.measure().force == pytest.approx(
-            [1.0 - 2500 * 0.1 * k * 1e-3, 0.0, -2.0 - 1250 * 0.1 * k * 1e-3], abs=1e-9
-        )
-        assert plant.truth().force == pytest.approx(plant.measure().force)
-        plant.apply(np.zeros(3))
-        if plant.truth().trip:
-            break
-    assert plant.truth().trip.cause is Cause.FORCE
-
-
-def test_a_command_acts_after_delay_and_lag():
-    """v' = (a - K2 v), a' = (u - a) / lag, one cycle late; integrated by small steps."""
-    plant, v, a, way = linear(), 0.0, 0.0, 0.0
-    for k in range(60):
-        assert plant.measure().velocity[0] == pytest.approx(v, abs=2e-6)
-        assert plant.measure().force[0] == pytest.approx(1.0 + 2500 * way, abs=2e-4)
-        plant.apply(np.array([0.5, 0.0, 0.0]))
-        u = 0.5 if k >= 1 else 0.0
-        for _ in range(200):
-            way += v * 5e-6
-            v += (a - 20.0 * v) * 5e-6
-            a += (u - a) / 1e-3 * 5e-6
-    assert v > 0.01
-    assert plant.truth().torque.tolist() == [0.5] * 6
-
-
-def test_it_trips_on_its_force_and_stays_there():
-    plant = linear(protection=ProtectionConfig(force=5.0), speed=0.5)
-    for _ in range(50):
-        plant.measure()
-        plant.apply(np.zeros(3))
-    trip = plant.truth().trip
-    assert trip is not None
-    assert 5.0 <= trip.value < 8.0
-    assert np.linalg.norm(plant.truth().force) == pytest.approx(trip.value)
-
-
 # --- the procedure -------------------------------------------------------------------------------
 
 
@@ -170,39 +110,35 @@ def short():
     return [exercise("regular", 101, 0.8)]
 
 
-def test_cell_and_linear_model_agree_on_who_is_better(short):
-    costs = {
-        (kind, linear): mean_cost(short, {}, kind, linear=linear)[0]
-        for kind in ("pi", "mpc")
-        for linear in (True, False)
-    }
-    assert costs["mpc", True] < costs["pi", True] < 1.0
-    assert costs["mpc", False] < costs["pi", False] < 1.0
+def test_who_is_better_has_the_lower_cost(short):
+    costs = {kind: mean_cost(short, {}, kind)[0] for kind in ("pi", "mpc")}
+    assert costs["mpc"] < costs["pi"] < 1.0
 
 
 def test_what_is_asked_for_is_what_runs(short):
-    slow, fast = (
-        run(short[0], {"pi.proportional": gain}, "pi", linear=True).error for gain in (1.0, 60.0)
-    )
+    slow, fast = (run(short[0], {"pi.proportional": gain}, "pi").error for gain in (1.0, 60.0))
     assert fast < 0.7 * slow
 
 
+def test_a_run_ends_with_its_trip(short):
+    found = run(short[0], {"pi.proportional": 900.0, "pi.velocity": 900.0}, "pi")
+    assert 0.5 < found.lost < 1.0
+
+
 def test_a_controller_that_cannot_be_made_costs_most(short):
-    assert mean_cost(short, {"pi.proportional": 9000.0}, "pi-ilc", linear=True) == (WORST, [])
+    assert mean_cost(short, {"pi.proportional": 9000.0}, "pi-ilc") == (WORST, [])
 
 
 def test_tuning_betters_what_it_tunes(short, monkeypatch):
-    monkeypatch.setattr(tune_rivals, "TRAINING", (("regular", 101),))
-    for name, count in (("FILLED", 4), ("DESCENDED", 4), ("ON_THE_CELL", 3)):
+    for name, count in (("FILLED", 4), ("DESCENDED", 5)):
         monkeypatch.setattr(tune_rivals, name, count)
     values, told = tune(controller_kind("aob"), short, {}, seed=0)
     assert set(values) == {t.key for t in controller_kind("aob").tunables}
     for tunable in controller_kind("aob").tunables:
         assert tunable.low <= values[tunable.key] <= tunable.high
-    assert told["on_the_cell"]["runs"][0]["motion"] == "regular"
-    assert told["on_the_cell"]["cost"] == pytest.approx(
-        mean_cost(short, values, "aob", linear=False)[0], abs=1e-3
-    )
+    assert (told["runs"][0]["motion"], told["runs"][0]["seed"]) == ("regular", 101)
+    assert told["cost"] == pytest.approx(mean_cost(short, values, "aob")[0], rel=1e-9)
+    assert told["cost"] <= told["filled"]["cost"] < WORST
 
 
 def test_bad_arguments_are_told_in_one_line(capsys):
@@ -226,7 +162,6 @@ def test_every_controller_was_tuned_by_the_procedure_as_it_is():
     assert TUNED["evaluations"] == {
         "fill": tune_rivals.FILLED,
         "descend": tune_rivals.DESCENDED,
-        "on_the_cell": ON_THE_CELL,
     }
     assert TUNED["free_chatter"] == CHATTER
     assert [(m["motion"], m["seed"]) for m in TUNED["motions"]] == list(TRAINING)
