@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 
 from bench import tune_rivals
-from bench.tune_rivals import RESULTS, TRAINING, exercise, mean_cost, run, tune
+from bench.tune_rivals import RESULTS, RIVALS, TRAINING, exercise, mean_cost, run, tune
 from bench.tuning.cost import CHATTER, WORST, Cost, cost
 from bench.tuning.search import descend, fill, gathered, spread
 from qpmpc.config import ControllerConfig
-from qpmpc.kinds import Tunable, controller_kind, controllers
+from qpmpc.kinds import (
+    ControllerKind,
+    Tunable,
+    by_law,
+    controller_kind,
+    controllers,
+    register_controller,
+)
+from qpmpc.rivals.pi import PiLaw
 from scenarios.log import Log
 
 RANGES = (Tunable("a", 1e-3, 1e3), Tunable("b", 1.0, 1e4))
@@ -120,9 +128,16 @@ def test_what_is_asked_for_is_what_runs(short):
     assert fast < 0.7 * slow
 
 
-def test_a_run_ends_with_its_trip(short):
-    found = run(short[0], {"pi.proportional": 900.0, "pi.velocity": 900.0}, "pi")
+def test_a_run_ends_with_its_trip(short, monkeypatch):
+    class Pushing(PiLaw):
+        def decide(self, force, velocity, setpoint, known):
+            return np.array([0.0, 0.0, -20.0])
+
+    monkeypatch.setattr("qpmpc.kinds._table", {})
+    register_controller(ControllerKind("push", "", "", "", by_law(Pushing)))
+    found = run(short[0], {}, "push")
     assert 0.5 < found.lost < 1.0
+    assert found.total > 1.5
 
 
 def test_a_controller_that_cannot_be_made_costs_most(short):
@@ -157,20 +172,21 @@ def value(config, key: str) -> float:
     return config
 
 
-def test_every_controller_was_tuned_by_the_procedure_as_it_is():
-    assert set(TUNED["controllers"]) == {kind.name for kind in controllers()}
+def test_every_rival_was_tuned_by_the_procedure_as_it_is():
+    assert set(TUNED["controllers"]) == set(RIVALS)
+    assert {kind.name for kind in controllers()} - set(RIVALS) == {"mpc"}
     assert TUNED["evaluations"] == {
         "fill": tune_rivals.FILLED,
         "descend": tune_rivals.DESCENDED,
     }
     assert TUNED["free_chatter"] == CHATTER
     assert [(m["motion"], m["seed"]) for m in TUNED["motions"]] == list(TRAINING)
-    for kind in controllers():
-        found = TUNED["controllers"][kind.name]["values"]
-        assert set(found) == {tunable.key for tunable in kind.tunables}
+    for name in RIVALS:
+        found = TUNED["controllers"][name]["values"]
+        assert set(found) == {tunable.key for tunable in controller_kind(name).tunables}
 
 
-@pytest.mark.parametrize("kind", [k.name for k in controllers() if k.name != "mpc"])
+@pytest.mark.parametrize("kind", RIVALS)
 def test_the_rivals_defaults_are_what_was_found(kind):
     for key, found in TUNED["controllers"][kind]["values"].items():
         assert value(ControllerConfig(), key) == found
