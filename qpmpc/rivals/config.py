@@ -54,11 +54,11 @@ class LearningConfig:
 class ActiveObserverConfig:
     """Two active observers, one for the force and one for the tissue's motion: ``aob``."""
 
-    closed_loop_time: Annotated[float, Gt(0), Le(1)] = 0.01
+    closed_loop_time: Annotated[float, Gt(0), Le(1)] = 0.00421
     """Time constant of both poles of the closed force loop [s]."""
-    disturbance_drift: Annotated[float, Gt(0)] = 0.3
+    disturbance_drift: Annotated[float, Gt(0)] = 0.249
     """Force observer: change of the active state per cycle, standard deviation [m/s^2]."""
-    jerk_drift: Annotated[float, Gt(0)] = 100.0
+    jerk_drift: Annotated[float, Gt(0)] = 2.51
     """Motion observer: change of the tissue's jerk per cycle, standard deviation [m/s^3]."""
 
 
@@ -66,7 +66,7 @@ class ActiveObserverConfig:
 class PaperLawConfig:
     """The paper's law, closed form without disturbance state, delay and lag: ``paper-law``."""
 
-    increment_weight: Annotated[float, Gt(0)] = 0.003
+    increment_weight: Annotated[float, Gt(0)] = 0.00402
     """lambda, in place of ``controller.increment_weight``."""
-    reference_time: Annotated[float, Ge(0)] = 0.0025
+    reference_time: Annotated[float, Ge(0)] = 0.00225
     """T_ref, in place of ``controller.reference_time`` [s]."""
