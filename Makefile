@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test test-hostile test-peers bench-peers docs lint format setup clean help
+.PHONY: demo test test-browser test-hostile test-live test-peers bench-peers docs lint format setup clean help
 
 help:  ## list the verbs
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -16,8 +16,14 @@ demo: $(VENV)/.installed  ## set up and run the paper's experiment
 test: $(VENV)/.installed-dev  ## set up and run the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-test-hostile: $(VENV)/.installed-dev  ## 10,000 hostile command sequences against the protection
-	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py
+test-browser: $(VENV)/.installed-browser  ## the report in headless Chromium (CHROMIUM=path; .ci/chromium gets one)
+	$(BIN)/python -m pytest -m browser -rPs tests/bench/browser
+
+test-hostile: $(VENV)/.installed-dev  ## 13,000 hostile command sequences against the protection
+	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py tests/plant/test_redundant.py
+
+test-live: $(VENV)/.installed-dev  ## a live setpoint for a minute, its sender killed, the port flooded
+	$(BIN)/python -m pytest -m minute -rP tests/scenarios/test_live_siege.py
 
 test-peers: $(VENV)/.installed-dev  ## run a real peer end to end, from PyPI
 	$(BIN)/python -m pytest -m peers tests/bench/test_peers.py
@@ -42,7 +48,7 @@ format: $(VENV)/.installed-dev  ## put the code into its form
 setup: $(VENV)/.installed-dev  ## set up for development
 
 clean:  ## remove the environment and caches, keep results
-	rm -rf $(VENV) .peers .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .browser .peers .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -60,3 +66,7 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.installed-docs: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --no-binary pulsempc -e '.[docs]'
 	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-browser: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --no-binary pulsempc -e '.[dev,browser]'
+	@touch $@ $(VENV)/.installed-dev $(VENV)/.installed

@@ -1,5 +1,6 @@
 """The entry point: ``pulsempc`` and ``python -m bench``."""
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -19,6 +20,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"pulsempc: {problem}", file=sys.stderr)
         sys.exit(2)
     try:
+        # Where it names a library that is not there MuJoCo cannot even be imported; what draws a
+        # film looks for one itself.
+        os.environ.pop("MUJOCO_GL", None)
         # Only now: somebody else's package of the same name would break this import.
         from bench.dispatch import dispatch  # noqa: PLC0415
 

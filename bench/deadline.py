@@ -22,6 +22,7 @@ from bench.subjects import Controlled, Empty, Still, Subject
 from plant.errors import PlantError
 from qpmpc.errors import BackendSetupError
 from scenarios import Scenario, ScenarioError
+from scenarios.approach import recovery
 from scenarios.cycle import ControlCycle
 from scenarios.experiment import (
     Assembly,
@@ -126,12 +127,19 @@ def enter(
                 raise
             race.refused.append(Refusal(backend, str(error)))
             continue
-        cycle = ControlCycle(cell, controller, made.setpoint, made.schedule)
+        cycle = ControlCycle(
+            cell,
+            controller,
+            made.setpoint,
+            made.schedule,
+            recovery(own, made.schedule),
+            beats=made.beats,
+        )
         subject = Controlled(backend, cell, cycle, made.setpoint.force, total)
         race.entries.append(Entry(subject, Cycles(*sizes)))
     if made is not None:
         still = made.another_cell()
-        hold_still(still, scenario, made.setpoint)
+        hold_still(still, made.setpoint)
         race.entries.insert(1, Entry(Still(still), Cycles(*sizes)))
     return race
 

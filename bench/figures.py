@@ -1,15 +1,19 @@
 """Pictures of a run."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bench import plots
 from bench.compare import Comparison
+from scenarios.approach import ContactState
 from scenarios.log import Array, Log
 from scenarios.schedule import BoundName, Schedule
 
+_LOST = "#999999"
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#444444")
 _LINES = ("-", "--", ":", "-.")
 _CLOSE = 0.15
@@ -31,12 +35,23 @@ def draw_forces(log: Log, path: Path) -> None:
         plots.force(middle, log, axis)
         plots.error(lower, log, axis)
         lower.set_xlabel("time [s]")
+        shade_lost(log, (middle, lower))
         for panel in (upper, middle, lower):
             panel.grid(alpha=0.3)
     for row, what in enumerate(("contact force [N]", "contact force [N]", "force error [N]")):
         grid[row, 0].set_ylabel(what)
     grid[0, 0].legend(loc="lower right", fontsize=8)
     figure.savefig(path)
+
+
+def shade_lost(log: Log, panels: Sequence[Axes]) -> None:
+    """Shade the times in which the tool counted as off the tissue."""
+    lost = (log.contact[: log.cycles] == ContactState.LOST).astype(np.int8)
+    edges = np.flatnonzero(np.diff(lost, prepend=0, append=0)).reshape(-1, 2)
+    time = log.time[: log.cycles]
+    for begin, end in edges.tolist():
+        for panel in panels:
+            panel.axvspan(time[begin], time[end - 1], color=_LOST, alpha=0.25, linewidth=0)
 
 
 def draw_comparison(comparison: Comparison, path: Path) -> None:

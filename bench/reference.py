@@ -50,6 +50,7 @@ class CommandError:
     def __init__(self, controller: ForceController, cycles: int) -> None:
         """Set the reference up for the controller's problem."""
         self._problem, self._reference = controller.general.problem, Reference(controller)
+        self._applied = controller.general.command
         self._previous = np.zeros(self._problem.model.n_inputs)
         self._errors = np.full((cycles, self._problem.model.n_inputs), np.nan)
         self._cycle = 0
@@ -62,7 +63,7 @@ class CommandError:
             low, high = self._problem.limits(self._previous)
             right = np.minimum(np.maximum(command, low), high)
             self._errors[self._cycle] = np.abs(step.command - right)
-        self._previous[:] = step.command
+        self._previous[:] = self._applied  # the step's own, unless another was applied
         self._cycle += 1
 
     @property

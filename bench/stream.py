@@ -60,6 +60,8 @@ class Stream:
 def record(scenario: Scenario, *, report: Report, stop: Stop) -> Stream | None:
     """Run the scenario in closed loop on the cell and return what its controller met.
 
+    Off the tissue, too, it is the controller that leads the tool: nothing else is shown to it.
+
     Returns:
         None where ``stop`` asked for the end before the run was through.
 

@@ -78,6 +78,8 @@ def timing_lines(summary: Summary) -> list[str]:
         lines.append(f"cycles without a usable answer, command from: {_counts(fallbacks)}")
     if summary["live_setpoint"] is not None:
         lines.append(f"live setpoint: {_counts(summary['live_setpoint']) or 'nothing came'}")
+    if summary["contact_loss"] is not None:
+        lines.append(contact_line(summary["contact_loss"]))
     beyond = {name: v for name, v in summary["violations"].items() if v["count"]}
     if beyond:
         units = {"force": "N", "velocity": "m/s", "command": "m/s^2"}
@@ -89,6 +91,20 @@ def timing_lines(summary: Summary) -> list[str]:
             )
         )
     return lines
+
+
+def contact_line(loss: Summary) -> str:
+    """How often the tool was off the tissue, and how it came back."""
+    others = len(loss["events"]) - loss["count"]
+    line = f"contact lost: {loss['count']} times, {loss['time']:.3g} s in all"
+    if others:
+        line += f"; off the tissue at the start or on purpose: {others} times"
+    if loss["speed"] is not None:
+        line += (
+            f"; the tool came back at {loss['speed']:.3g} m/s and "
+            f"{loss['force_peak']:.3g} N at most"
+        )
+    return line
 
 
 def trip_line(trip: Trip) -> str:

@@ -2,6 +2,8 @@
 
 from plant.cell import Cell
 from plant.config import (
+    ArmConfig,
+    BristleConfig,
     CellConfig,
     ContactConfig,
     ImperfectionConfig,
@@ -9,17 +11,23 @@ from plant.config import (
     SensorConfig,
     ToolConfig,
 )
-from plant.errors import PlantError
+from plant.errors import ArmError, PlantError
+from plant.indentation import Indentation, indent
 from plant.interface import Cause, JointPlant, JointSpace, Measurement, Plant, Trip, Truth
+from plant.own_arm import tool_arm
 from plant.playback import UnreachableMotionError
 from plant.protection import force_cap
 
 __all__ = [
+    "ArmConfig",
+    "ArmError",
+    "BristleConfig",
     "Cause",
     "Cell",
     "CellConfig",
     "ContactConfig",
     "ImperfectionConfig",
+    "Indentation",
     "JointPlant",
     "JointSpace",
     "Measurement",
@@ -32,4 +40,6 @@ __all__ = [
     "Truth",
     "UnreachableMotionError",
     "force_cap",
+    "indent",
+    "tool_arm",
 ]

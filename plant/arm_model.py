@@ -12,44 +12,16 @@ the Denavit-Hartenberg lengths, and its mass is spread evenly over their volume,
 twice. The same solids are drawn in the MJCF: what is seen is what is weighed.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
+from plant.chain import TIP_NAME, Arm, Inertia, Link, Solid
 from plant.errors import PlantError
 from plant.viper import ArmSpec, EndEffector, FloatArray, Station
-
-TIP_NAME = {"heart": "heart_surface", "tool": "tool_tip"}
-"""Name of the contact point of each arm: a site in MuJoCo, a frame in pinocchio."""
-
-
-@dataclass(frozen=True)
-class Solid:
-    """A solid of uniform density around the axis from ``start`` to ``end``, in the body's frame."""
-
-    shape: Literal["cylinder", "capsule", "box"]
-    """``capsule``: with half spheres beyond both ends; ``box``: a bar of square section."""
-    material: Literal["shell", "joint", "steel", "tissue"]
-    start: tuple[float, float, float]
-    """[m]"""
-    end: tuple[float, float, float]
-    """[m]"""
-    radius: float
-    """Radius, or half the side of the square [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Inertia:
-    """Mass properties of one body in the body's frame."""
-
-    mass: float
-    """[kg]"""
-    com: FloatArray
-    """Centre of mass, shape (3,) [m]."""
-    tensor: FloatArray
-    """Rotational inertia about the centre of mass, shape (3, 3) [kg m^2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +29,7 @@ class ArmModel:
     """Pinocchio model of one arm in the world's frame; it knows no friction and no contact."""
 
     model: Any
-    """``pinocchio.Model`` with six joints; armature and limits are set."""
+    """``pinocchio.Model`` of its joints; armature and limits are set."""
     tip: int
     """Frame id of the contact point, named as in ``TIP_NAME``, world-aligned at home."""
 
@@ -233,41 +205,69 @@ def effector_inertia(effector: EndEffector) -> Inertia:
     return mass_properties(float(effector.mass.si), effector_solids(effector))
 
 
-def build_arm_model(spec: ArmSpec, station: Station, inertia_error: float = 0.0) -> ArmModel:
+def viper_arm(spec: ArmSpec, station: Station) -> Arm:
+    """Return a Viper where it stands, with what it carries."""
+    placements, inertias, solids = body_placements(spec), link_inertias(spec), link_solids(spec)
+    bodies = [Link(*body) for body in zip(placements[:6], inertias[1:], solids[1:], strict=True)]
+    effector = station.effector
+    return Arm(
+        name=station.name,
+        base=Link(base_placement(station), inertias[0], solids[0]),
+        links=tuple(bodies),
+        effector=Link(placements[6], effector_inertia(effector), effector_solids(effector)),
+        effector_name=effector.kind,
+        tip=tip_placement(station),
+        home=home_configuration(spec, station),
+        lower=spec.lower,
+        upper=spec.upper,
+        speed=spec.joint_speed.si,
+        torque_limit=spec.torque_limit.si,
+        armature=spec.armature.si,
+        coulomb=spec.coulomb_friction.si,
+        viscous=spec.viscous_friction.si,
+    )
+
+
+def build_arm_model(arm: Arm, inertia_error: float | Sequence[float] = 0.0) -> ArmModel:
     """Pinocchio model of one arm where it stands, with what it carries.
 
     Args:
-        spec: the arm.
-        station: its place in the cell and its end-effector.
+        arm: see there.
         inertia_error: e > -1; masses, inertias and armatures are (1 + e) times the true ones, to
-            study a controller whose model is wrong [-].
+            study a controller whose model is wrong; one for all, or one for each link and, as the
+            last, for what the flange carries [-].
+
+    Raises:
+        PlantError: there are neither one nor as many errors.
     """
-    scale = 1.0 + inertia_error
+    count = arm.joints + 1
+    errors = np.atleast_1d(np.asarray(inertia_error, dtype=np.float64))
+    if errors.size not in (1, count):
+        raise PlantError(f"imperfections.inertia_error: {errors.size} values, must be 1 or {count}")
+    scale = 1.0 + np.broadcast_to(errors, (count,))
     model = pin.Model()
-    placements = [pin.SE3(placement) for placement in body_placements(spec)]
-    parent, placement = 0, pin.SE3(base_placement(station)) * placements[0]
-    for i, inertia in enumerate(link_inertias(spec)[1:]):
+    parent, before = 0, pin.SE3(arm.base.placement)
+    for i, link in enumerate(arm.links):
         parent = model.addJoint(
             parent,
-            pin.JointModelRZ(),
-            placement,
-            f"{station.name}_joint{i + 1}",
-            spec.torque_limit.si[i : i + 1],
-            spec.joint_speed.si[i : i + 1],
-            spec.lower[i : i + 1],
-            spec.upper[i : i + 1],
+            pin.JointModelPZ() if link.slides else pin.JointModelRZ(),
+            before * pin.SE3(link.placement),
+            f"{arm.name}_joint{i + 1}",
+            arm.torque_limit[i : i + 1],
+            arm.speed[i : i + 1],
+            arm.lower[i : i + 1],
+            arm.upper[i : i + 1],
         )
-        model.appendBodyToJoint(parent, _scaled(inertia, scale), pin.SE3.Identity())
-        placement = placements[i + 1]
-    model.appendBodyToJoint(parent, _scaled(effector_inertia(station.effector), scale), placement)
-    model.armature = scale * spec.armature.si
+        before = pin.SE3.Identity()
+        if link.inertia is not None:
+            model.appendBodyToJoint(parent, _scaled(link.inertia, scale[i]), before)
+    end = pin.SE3.Identity()
+    if arm.effector is not None and arm.effector.inertia is not None:
+        end = pin.SE3(arm.effector.placement)
+        model.appendBodyToJoint(parent, _scaled(arm.effector.inertia, scale[-1]), end)
+    model.armature = scale[:-1] * arm.armature
     tip = model.addFrame(
-        pin.Frame(
-            TIP_NAME[station.name],
-            parent,
-            placement * pin.SE3(tip_placement(station)),
-            pin.FrameType.OP_FRAME,
-        )
+        pin.Frame(TIP_NAME[arm.name], parent, end * pin.SE3(arm.tip), pin.FrameType.OP_FRAME)
     )
     return ArmModel(model, tip)
 

@@ -9,6 +9,18 @@ class PlantError(Exception):
     """Base of all errors raised by ``plant``; its text is one line fit to be shown to a user."""
 
 
+class ArmError(PlantError):
+    """An arm of one's own cannot be used.
+
+    Attributes: ``source``, the file or the key it is about; ``reason``.
+    """
+
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")
+
+
 class UnstableSimulationError(PlantError):
     """The physics has left what it can compute.
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgesv
+from scipy.linalg.lapack import dgesv, dposv
 
 from plant.arm_model import ArmModel
 from plant.config import ToolConfig
@@ -19,6 +19,12 @@ class InnerLoop:
         alpha                      orientation held
 
     J' F_measured cancels the contact force: without it eq. (5) does not hold (reading 1).
+
+    An arm of more than six joints has a choice of q'' for the same tip. It takes the one of least
+    kinetic energy that leads it back to the posture in which it began, with damping:
+
+        q'' = r + M^-1 J' L ([f*; alpha] - J' q' - J r),   L = (J M^-1 J')^-1
+        r = k (q_begin - q) - d q'
     """
 
     def __init__(
@@ -36,7 +42,7 @@ class InnerLoop:
         Args:
             arm: the model the loop believes in.
             config: gains.
-            coulomb, viscous: friction that is compensated, ``(6,)`` [N m], [N m s/rad].
+            coulomb, viscous: friction that is compensated, ``(n,)`` [N m], [N m s/rad].
             lead: from the encoders' reading to the middle of the time the torque acts [s].
             force_axes: which axes follow the command, 0 to 2 for x to z, in the order of the
                 columns of `joint_space`; the others hold position.
@@ -68,9 +74,14 @@ class InnerLoop:
         self.twist = self._inputs[9:]
         """Velocity and angular velocity of the tip, ``(6,)`` [m/s, rad/s]."""
         self._goal = np.zeros(6)
-        self._q, self._zero = np.zeros(6), np.zeros(6)
-        self.qdot = np.zeros(6)
-        """Joint speeds at the last `observe`, ``(6,)`` [rad/s]."""
+        n = arm.model.nv
+        self._redundant = n > 6
+        self._posture_stiffness = config.posture_stiffness
+        self._posture_damping = config.posture_damping
+        self._rest, self._pull = np.zeros(n), np.zeros(n)
+        self._q, self._zero = np.zeros(n), np.zeros(n)
+        self.qdot = np.zeros(n)
+        """Joint speeds at the last `observe`, ``(n,)`` [rad/s]."""
         self._speed_limit = arm.model.velocityLimit.copy()
         self._torque_limit = arm.model.effortLimit.copy()
         for limit in (self._speed_limit, self._torque_limit):
@@ -78,18 +89,19 @@ class InnerLoop:
         self._held, self._place = np.eye(3), np.zeros(3)
         pose = self._data.oMf[self._tip]  # views into pinocchio's memory, up to date by themselves
         self._rotation, self._translation = pose.rotation, pose.translation
-        self.J = np.zeros((6, 6))
-        """Jacobian of the tip at the last `observe`, linear rows first, ``(6, 6)``."""
+        self.J = np.zeros((6, n))
+        """Jacobian of the tip at the last `observe`, linear rows first, ``(6, n)``."""
         self.position = np.zeros(3)
         """Tip at the last `observe`, ``(3,)`` [m]."""
 
     def hold(self) -> None:
-        """Take the pose of the last `observe` as the one to be held."""
+        """Take pose and posture of the last `observe` as those to be held."""
+        self._rest[:] = self._q
         self._held = self._rotation.copy()
         self._place = self._translation.copy()
 
     def observe(self, q: FloatArray, qdot: FloatArray) -> None:
-        """Take in the encoders' joint angles and speeds, ``(6,)`` each [rad], [rad/s]."""
+        """Take in the encoders' joint angles and speeds, ``(n,)`` each [rad], [rad/s]."""
         model, data = self._model, self._data
         self._q[:], self.qdot[:] = q, qdot
         pin.forwardKinematics(model, data, self._q, self.qdot, self._zero)
@@ -100,7 +112,7 @@ class InnerLoop:
         np.dot(self.J, self.qdot, out=self.twist)
 
     def torque(self, command: FloatArray, force: FloatArray) -> FloatArray:
-        """Return joint torques ``(6,)`` [N m], not saturated, for the last `observe`.
+        """Return joint torques ``(n,)`` [N m], not saturated, for the last `observe`.
 
         Args:
             command: u, acceleration command ``(3,)`` [m/s^2].
@@ -112,7 +124,7 @@ class InnerLoop:
         self._command[:] = command
         goal = np.dot(self._gains, self._inputs, out=self._goal)
         goal -= pin.getFrameClassicalAcceleration(model, data, self._tip, _WORLD_ALIGNED).vector
-        acceleration = dgesv(self.J, goal)[2]
+        acceleration = self._resolve(goal)
         torque = pin.rnea(model, data, self._q, self.qdot, acceleration)
         torque += np.dot(force, self.J[:3])
         # Friction is compensated for the speed that the joint will have when the torque arrives:
@@ -123,6 +135,23 @@ class InnerLoop:
         speed *= self._sign_gain
         torque += self._coulomb * np.tanh(speed, out=speed)
         return np.asarray(torque)
+
+    def _resolve(self, goal: FloatArray) -> FloatArray:
+        """Return joint accelerations ``(n,)`` for those of the tip, ``(6,)``, less J' q'."""
+        if not self._redundant:
+            return np.asarray(dgesv(self.J, goal)[2])
+        pull = np.subtract(self._rest, self._q, out=self._pull)
+        pull *= self._posture_stiffness
+        pull -= self._posture_damping * self.qdot
+        goal -= np.dot(self.J, pull)
+        pull += np.dot(self._inverse(), goal)
+        return pull.copy()
+
+    def _inverse(self) -> FloatArray:
+        """Return the inverse of J that moves the joints with least kinetic energy, ``(n, 6)``."""
+        inertia = pin.crba(self._model, self._data, self._q)
+        easy = dposv(inertia, self.J.T)[1]  # M^-1 J'; crba's upper triangle is what is read
+        return np.asarray(dposv(np.dot(self.J, easy), easy.T)[1].T)
 
     def joint_space(self, force: FloatArray, previous: FloatArray) -> JointSpace:
         """Return linear maps from tip to joints, and limits, for the last `observe`.
@@ -136,7 +165,10 @@ class InnerLoop:
         """
         axes = self._axes
         velocity = self.twist[axes]
-        speed_gain = dgesv(self.J, self._columns)[2]
+        if self._redundant:
+            speed_gain = self._inverse()[:, axes]
+        else:
+            speed_gain = dgesv(self.J, self._columns)[2]
         inertia = pin.crba(self._model, self._data, self._q)
         inertia += self._led_friction
         command_gain = np.dot(inertia, speed_gain)

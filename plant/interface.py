@@ -64,13 +64,16 @@ class Truth:
     """Position of the tissue's surface at rest, ``(3,)`` [m]."""
     torque: FloatArray
     """Joint torques that the inner loop last asked for, after saturation; after a trip, those that
-    the protection asks for, ``(6,)`` [N m]."""
+    the protection asks for, ``(n,)`` [N m]."""
     saturated: bool
     """Whether a torque was cut at its limit."""
     touching: bool = True
     """Whether tool and tissue touch."""
     joint_velocity: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Speeds of the tool's joints, ``(6,)`` [rad/s]."""
+    """Speeds of the tool's joints, of the links where these are flexible, ``(n,)`` [rad/s]."""
+    joint_angle: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
+    """Angles of all joints, Robot_Heart's first, ``(6 + n,)`` [rad]; a single NaN where the plant
+    does not tell: such a run cannot be drawn."""
     force_peak: float = 0.0
     """Largest magnitude of the contact force since the measurement before, at any physics step
     [N]."""
@@ -92,21 +95,21 @@ class JointSpace:
     """
 
     speed_gain: FloatArray
-    """``(6, n)`` [rad/m]."""
+    """``(n, n_axes)`` [rad/m]."""
     speed_offset: FloatArray
-    """``(6,)`` [rad/s]."""
+    """``(n,)`` [rad/s]."""
     command_gain: FloatArray
-    """``(6, n)`` [N m s^2/m]."""
+    """``(n, n_axes)`` [N m s^2/m]."""
     velocity_gain: FloatArray
-    """``(6, n)`` [N m s/m]."""
+    """``(n, n_axes)`` [N m s/m]."""
     force_gain: FloatArray
-    """``(6, n)`` [m]."""
+    """``(n, n_axes)`` [m]."""
     torque_offset: FloatArray
-    """``(6,)`` [N m]."""
+    """``(n,)`` [N m]."""
     speed_limit: FloatArray
-    """Largest speed of each joint in either direction, ``(6,)`` [rad/s]."""
+    """Largest speed of each joint in either direction, ``(n,)`` [rad/s]."""
     torque_limit: FloatArray
-    """Torque at which each joint saturates, in either direction, ``(6,)`` [N m]."""
+    """Torque at which each joint saturates, in either direction, ``(n,)`` [N m]."""
 
 
 class TissueMotion(Protocol):

@@ -1,18 +1,23 @@
 """MuJoCo model (MJCF) of the cell: two arms, the contact spring between them, and what is drawn.
 
-Names, with ``<arm>`` either ``heart`` or ``tool``: bodies ``<arm>_base``, ``<arm>_link1..6``,
-``heart_pad``, ``tool_instrument``; joints ``<arm>_joint1..6``; sites ``heart_surface``,
-``tool_tip``; camera ``overview``; keyframe ``home``. Joints 0 to 5 are the heart's, 6 to 11 the
-tool's. Actuators, in this order:
+Names, with ``<arm>`` either ``heart`` or ``tool`` and n the joints of the tool, 6 of a Viper:
+bodies ``<arm>_base``, ``<arm>_link1..n``, ``heart_pad``, ``tool_instrument``; joints
+``<arm>_joint1..n``; sites ``heart_surface``, ``tool_tip``; camera ``overview``; keyframe ``home``.
+Joints 0 to 5 are the heart's, the n behind them the tool's. Actuators, in this order:
 
     ======= ====================== ==============================================================
-    0-5     ``heart_servo1..6``    torque = SERVO_STIFFNESS (ctrl - q) - SERVO_DAMPING qdot [N m]
-    6-11    ``tool_motor1..6``     ctrl is the torque [N m], cut at the limit, after a lag if any
-    12-14   ``contact_x/y/z``      the contact spring; its ctrl has no effect
+    6       ``heart_servo1..6``    torque = SERVO_STIFFNESS (ctrl - q) - SERVO_DAMPING qdot [N m]
+    n       ``tool_motor1..n``     ctrl is the torque [N m], cut at the limit, after a lag if any
+    3       ``contact_x/y/z``      the contact spring; its ctrl has no effect
     ======= ====================== ==============================================================
 
-Equality constraints ``tool_brake1..6`` hold the tool's joints where ``eq_data`` says; not active
+Equality constraints ``tool_brake1..n`` hold the tool's joints where ``eq_data`` says; not active
 until the cell closes the brakes.
+
+Flexible joints. Bodies ``tool_rotor1..n`` with joints of the same names, behind all others, then
+stand for the motors, one turn of theirs for one of the link. Tendons ``tool_spring1..n`` join them
+to the tool's joints. Armature, friction, actuators and brakes are theirs. They turn about an axis
+of the world: that a rotor is carried along by its link counts for nothing.
 
 Contact. The force that the tool exerts on the tissue is ``y = K (x_tool - x_tissue) + D (v_tool -
 v_tissue)``, so pressing down gives a negative y on z. The tool feels ``-y``, and this is what the
@@ -22,66 +27,52 @@ opposite on both arms. ``plant.contact`` makes it unilateral, by its coefficient
 
 What MuJoCo does with ``refsite``: length and force of each contact actuator are along the axes of
 ``heart_surface``, which turn with the heart's flange. As K and D are the same on all axes, the
-*vector* does not depend on these axes: ``-R actuator_force[12:15]`` with R the world orientation of
-``heart_surface`` is y in the world, exactly, however the flange turns. Tool and tissue are pushed
-at their own sites; the spring force lies on the line between the two, so no moment is lost; only
-a damping force across that line leaves one, of force times distance (2 N at 2 mm: 4 mN m). Without
-R the error is the force times the angle of the flange, below 0.3 mrad under 10 N (measured).
+*vector* does not depend on these axes: ``-R`` times the forces of the three actuators, with R the
+world orientation of ``heart_surface``, is y in the world, exactly, however the flange turns. Tool
+and tissue are pushed at their own sites; the spring force lies on the line between the two, so no
+moment is lost; only a damping force across that line leaves one, of force times distance (2 N at
+2 mm: 4 mN m). Without R the error is the force times the angle of the flange, below 0.3 mrad under
+10 N (measured).
 """
 
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from plant.arm_model import (
-    TIP_NAME,
-    Inertia,
-    Solid,
-    base_placement,
-    body_placements,
-    effector_inertia,
-    effector_solids,
-    home_configuration,
-    link_inertias,
-    link_solids,
-    tip_placement,
-)
-from plant.viper import ArmSpec, FloatArray, Station
+from plant.chain import TIP_NAME, Arm, Link, Solid
+from plant.flexibility import JointSprings
+from plant.viper import FloatArray
 
 SERVO_STIFFNESS = 40000.0
 """Position gain of the heart's joint servos [N m/rad]."""
 SERVO_DAMPING = 400.0
 """Velocity gain of the heart's joint servos [N m s/rad]."""
 
-_JOINTS = range(1, 7)
-
 
 def cell_mjcf(
-    spec: ArmSpec,
-    heart: Station,
-    tool: Station,
+    heart: Arm,
+    tool: Arm,
     *,
     timestep: float,
     stiffness: float,
     damping: float,
     friction: float,
     torque_lag: float,
+    springs: JointSprings | None = None,
 ) -> str:
     """MJCF of the whole cell.
 
     Args:
-        spec: both arms.
-        heart: place and load of Robot_Heart.
-        tool: place and load of Robot_Tool.
+        heart: Robot_Heart, of six joints.
+        tool: Robot_Tool, of n joints.
         timestep: of the physics [s].
         stiffness: K of the contact, on every axis [N/m].
         damping: D of the contact, on every axis [N s/m].
-        friction: joint friction of both arms as a multiple of the spec's, 0 for none [-].
+        friction: joint friction of both arms as a multiple of their own, 0 for none [-].
         torque_lag: time constant from torque command to torque of the tool's motors, 0 for
-            none [s]. With a lag, the state of the motors is ``data.act``, shape (6,) [N m].
-
-    Raises:
-        PlantError: the contact point cannot be reached.
+            none [s]. With a lag, the state of the motors is ``data.act``, shape (n,) [N m].
+        springs: of the tool's joints; None: rigid.
     """
     root = ET.Element("mujoco", model="pulsempc cell")
     _add(root, "compiler", angle="radian", autolimits="true")
@@ -94,10 +85,15 @@ def cell_mjcf(
     _add_looks(root)
     world = _add(root, "worldbody")
     _add_surroundings(world)
-    for station in (heart, tool):
-        _add_arm(world, spec, station, timestep, friction)
+    motors = {arm.name: _motors(arm, timestep, friction) for arm in (heart, tool)}
+    motor = "tool_joint" if springs is None else "tool_rotor"
+    _add_arm(world, heart, motors["heart"])
+    _add_arm(world, tool, motors["tool"] if springs is None else [{}] * tool.joints)
+    if springs is not None:
+        _add_rotors(world, tool, motors["tool"])
+        _add_springs(root, springs)
     actuators = _add(root, "actuator")
-    for i in _JOINTS:
+    for i in range(1, heart.joints + 1):
         _add(
             actuators,
             "general",
@@ -108,12 +104,12 @@ def cell_mjcf(
             biasprm=(0.0, -SERVO_STIFFNESS, -SERVO_DAMPING),
         )
     lag = {"dyntype": "filterexact", "dynprm": torque_lag} if torque_lag > 0 else {}
-    for i, limit in zip(_JOINTS, spec.torque_limit.si.tolist(), strict=True):
+    for i, limit in enumerate(tool.torque_limit.tolist(), start=1):
         _add(
             actuators,
             "general",
             name=f"tool_motor{i}",
-            joint=f"tool_joint{i}",
+            joint=f"{motor}{i}",
             forcerange=(-limit, limit),
             **lag,
         )
@@ -130,100 +126,135 @@ def cell_mjcf(
             biasprm=(0.0, -stiffness, -damping),
         )
     brakes = _add(root, "equality")
-    for i in _JOINTS:
+    for i in range(1, tool.joints + 1):
         _add(
             brakes,
             "joint",
             name=f"tool_brake{i}",
-            joint1=f"tool_joint{i}",
+            joint1=f"{motor}{i}",
             active="false",
             solref=(2.0 * timestep, 1.0),
             solimp=(0.9999, 0.9999, 0.001, 0.5, 2.0),
         )
-    home = [home_configuration(spec, station) for station in (heart, tool)]
     _add(
         _add(root, "keyframe"),
         "key",
         name="home",
-        qpos=np.concatenate(home),
-        ctrl=np.concatenate([home[0], np.zeros(9)]),
+        qpos=np.concatenate([heart.home, *[tool.home] * (1 if springs is None else 2)]),
+        ctrl=np.concatenate([heart.home, np.zeros(tool.joints + 3)]),
     )
     ET.indent(root)
     return ET.tostring(root, encoding="unicode")
 
 
-def _add_arm(
-    world: ET.Element, spec: ArmSpec, station: Station, timestep: float, friction: float
-) -> None:
-    name = station.name
-    placements, inertias, solids = body_placements(spec), link_inertias(spec), link_solids(spec)
+def _add_arm(world: ET.Element, arm: Arm, motors: Sequence[Mapping[str, object]]) -> None:
+    """Add an arm; ``motors`` are further attributes of its joints."""
+    name = arm.name
     # The heart's servos only have to track: its weight is carried.
     extra = {"gravcomp": 1.0} if name == "heart" else {}
-    body = _add_body(world, f"{name}_base", base_placement(station), inertias[0], solids[0])
-    for i in _JOINTS:
+    body = _add_body(world, f"{name}_base", arm.base.placement, arm.base)
+    waiting: list[tuple[int, FloatArray]] = []
+    placement = np.eye(4)
+    for j, link in enumerate(arm.links):
+        placement = link.placement if not waiting else placement @ link.placement
+        waiting.append((j, placement))
+        if link.inertia is None:  # several joints move the same body
+            continue
+        body = _add_body(body, f"{name}_link{j + 1}", placement, link, **extra)
+        for i, frame in waiting:
+            joint = {**_joint(arm, i), **motors[i]}
+            if i != j:
+                own = np.linalg.inv(placement) @ frame
+                joint |= {"pos": own[:3, 3], "axis": own[:3, 2]}
+            _add(body, "joint", **joint)
+        waiting = []
+    if arm.effector is not None:
         body = _add_body(
-            body, f"{name}_link{i}", placements[i - 1], inertias[i], solids[i], **extra
+            body, f"{name}_{arm.effector_name}", arm.effector.placement, arm.effector, **extra
         )
-        j = i - 1
-        losses = {}
+    _add(body, "site", name=TIP_NAME[name], size=0.003, group=3, **_pose(arm.tip))
+
+
+def _joint(arm: Arm, j: int) -> dict[str, object]:
+    """Return the attributes of an arm's joint ``j``, from 0, but for what its motor brings."""
+    return {
+        "name": f"{arm.name}_joint{j + 1}",
+        **({"type": "slide"} if arm.links[j].slides else {}),
+        "range": (arm.lower[j], arm.upper[j]),
+    }
+
+
+def _motors(arm: Arm, timestep: float, friction: float) -> list[dict[str, object]]:
+    """Return what each motor brings to the joint that it moves: armature and friction."""
+    found: list[dict[str, object]] = []
+    for j in range(arm.joints):
+        losses: dict[str, object] = {}
         if friction > 0:
             # MuJoCo's stiction is a strong damper: under half the Coulomb torque the tip creeps at
             # 8 mm/s with its default reference and impedance, at 1 um/s with the shortest time
             # constant that it accepts and this impedance, at the same cost.
             losses = {
-                "frictionloss": friction * spec.coulomb_friction.si[j],
-                "damping": friction * spec.viscous_friction.si[j],
+                "frictionloss": friction * arm.coulomb[j],
+                "damping": friction * arm.viscous[j],
                 "solreffriction": (2.0 * timestep, 1.0),
                 "solimpfriction": (0.999, 0.999, 0.001),
             }
-        _add(
-            body,
-            "joint",
-            name=f"{name}_joint{i}",
-            range=(spec.lower[j], spec.upper[j]),
-            armature=spec.armature.si[j],
-            **losses,
+        found.append({"armature": arm.armature[j], **losses})
+    return found
+
+
+def _add_rotors(world: ET.Element, arm: Arm, motors: Sequence[Mapping[str, object]]) -> None:
+    """Add the motors on their own, behind both arms, so that the joints' numbers stay."""
+    for i, motor in enumerate(motors, start=1):
+        place = arm.base.placement[:3, 3]
+        body = _add(world, "body", name=f"tool_rotor{i}", pos=place, gravcomp=1.0)
+        # MuJoCo wants a body to weigh something; what moves is the armature.
+        light = {"mass": 1e-6, "diaginertia": (1e-9, 1e-9, 1e-9)}
+        _add(body, "inertial", pos=(0.0, 0.0, 0.0), **light)
+        _add(body, "joint", name=f"tool_rotor{i}", axis=(0.0, 0.0, 1.0), **motor)
+
+
+def _add_springs(root: ET.Element, springs: JointSprings) -> None:
+    tendons = _add(root, "tendon")
+    both = zip(springs.stiffness.tolist(), springs.damping.tolist(), strict=True)
+    for i, (stiffness, damping) in enumerate(both, start=1):
+        tendon = _add(
+            tendons,
+            "fixed",
+            name=f"tool_spring{i}",
+            stiffness=stiffness,
+            damping=damping,
+            springlength=0.0,
         )
-    effector = station.effector
-    held = _add_body(
-        body,
-        f"{name}_{effector.kind}",
-        placements[6],
-        effector_inertia(effector),
-        effector_solids(effector),
-        **extra,
-    )
-    _add(held, "site", name=TIP_NAME[name], size=0.003, group=3, **_pose(tip_placement(station)))
+        _add(tendon, "joint", joint=f"tool_joint{i}", coef=1.0)
+        _add(tendon, "joint", joint=f"tool_rotor{i}", coef=-1.0)
 
 
 def _add_body(
-    parent: ET.Element,
-    name: str,
-    placement: FloatArray,
-    inertia: Inertia,
-    solids: tuple[Solid, ...],
-    **extra: float,
+    parent: ET.Element, name: str, placement: FloatArray, link: Link, **extra: float
 ) -> ET.Element:
     body = _add(parent, "body", name=name, **_pose(placement), **extra)
-    i = inertia.tensor
-    _add(
-        body,
-        "inertial",
-        pos=inertia.com,
-        mass=inertia.mass,
-        fullinertia=(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
-    )
-    for solid in solids:
+    if link.inertia is not None:
+        i = link.inertia.tensor
         _add(
             body,
-            "geom",
-            type=solid.shape,
-            fromto=(*solid.start, *solid.end),
-            size=solid.radius,
-            material=solid.material,
-            contype="0",
-            conaffinity="0",
+            "inertial",
+            pos=link.inertia.com,
+            mass=link.inertia.mass,
+            fullinertia=(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
         )
+    for drawn in link.drawn:
+        if isinstance(drawn, Solid):
+            where: dict[str, object] = {
+                "type": drawn.shape,
+                "fromto": (*drawn.start, *drawn.end),
+                "size": drawn.radius,
+                "material": drawn.material,
+            }
+        else:
+            where = {"type": drawn.kind, "size": drawn.size, "material": "shell"}
+            where |= _pose(drawn.placement)
+        _add(body, "geom", **where, contype="0", conaffinity="0")
     return body
 
 

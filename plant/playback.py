@@ -6,14 +6,13 @@ import numpy as np
 import pinocchio as pin
 
 from plant.arm_model import ArmModel
+from plant.chain import Arm
 from plant.errors import PlantError
 from plant.interface import TissueMotion
 from plant.mjcf import SERVO_DAMPING, SERVO_STIFFNESS
-from plant.viper import ArmSpec, FloatArray
+from plant.posture import reach
+from plant.viper import FloatArray
 
-_TOLERANCE = 1e-10
-"""Pose error with which the inverse kinematics is content [m, rad]."""
-_ITERATIONS = 30
 _SIGN_SPEED = 0.005
 """Joint speed over which the feed-forward of Coulomb friction changes sign [rad/s]."""
 
@@ -49,9 +48,8 @@ class Programme:
 
 
 def programme(
-    spec: ArmSpec,
-    arm: ArmModel,
-    home: FloatArray,
+    arm: Arm,
+    exact: ArmModel,
     motion: TissueMotion,
     *,
     period: float,
@@ -63,63 +61,49 @@ def programme(
     torque feed-forward is that of the exact model without gravity, which the arm carries itself.
 
     Args:
-        spec: the arm's ranges and speeds.
-        arm: its exact model, in the world's frame.
-        home: joint angles at zero displacement, ``(6,)`` [rad].
+        arm: with six joints; at home at zero displacement.
+        exact: its exact model, in the world's frame.
         motion: of the tissue from home.
         period: between samples [s].
-        friction: joint friction as a multiple of the spec's; the servos feed it forward [-].
+        friction: joint friction as a multiple of the arm's; the servos feed it forward [-].
 
     Raises:
         UnreachableMotionError: outside the workspace, a joint's range or its speed.
     """
-    model, data = arm.model, arm.model.createData()
+    model, data = exact.model, exact.model.createData()
     frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    pin.framesForwardKinematics(model, data, home)
-    goal = pin.SE3(data.oMf[arm.tip])
+    pin.framesForwardKinematics(model, data, arm.home)
+    goal = pin.SE3(data.oMf[exact.tip])
     origin = goal.translation.copy()
     n = motion.position.shape[0]
     ctrl, path = np.empty((n, 6)), np.empty((n, 6))
-    angles, zero, twist, wrench = home.copy(), np.zeros(6), np.zeros(6), np.zeros(6)
-    speed_limit = spec.joint_speed.si
-    coulomb, viscous = friction * spec.coulomb_friction.si, friction * spec.viscous_friction.si
+    angles, zero, twist, wrench = arm.home.copy(), np.zeros(6), np.zeros(6), np.zeros(6)
+    coulomb, viscous = friction * arm.coulomb, friction * arm.viscous
     for k in range(n):
         goal.translation = origin + motion.position[k]
-        angles = _reach(arm, data, goal, angles, k * period)
-        J = pin.computeFrameJacobian(model, data, angles, arm.tip, frame)
+        found = reach(exact, data, goal, angles)
+        if found is None:
+            raise UnreachableMotionError(
+                k * period, None, "no posture of the arm reaches the point"
+            )
+        angles = found
+        J = pin.computeFrameJacobian(model, data, angles, exact.tip, frame)
         twist[:3], wrench[:3] = motion.velocity[k], motion.acceleration[k]
         speeds = np.linalg.solve(J, twist)
         pin.forwardKinematics(model, data, angles, speeds, zero)
-        drift = pin.getFrameClassicalAcceleration(model, data, arm.tip, frame).vector
+        drift = pin.getFrameClassicalAcceleration(model, data, exact.tip, frame).vector
         accelerations = np.linalg.solve(J, wrench - drift)
         torque = pin.rnea(model, data, angles, speeds, accelerations)
         torque = torque - pin.computeGeneralizedGravity(model, data, angles)
         torque += coulomb * np.tanh(speeds / _SIGN_SPEED) + viscous * speeds
         path[k] = angles
         ctrl[k] = angles + (SERVO_DAMPING * speeds + torque) / SERVO_STIFFNESS
-        _check(angles, spec.lower, spec.upper, k * period, _ANGLE)
-        _check(speeds, -speed_limit, speed_limit, k * period, _SPEED)
+        _check(angles, arm.lower, arm.upper, k * period, _ANGLE)
+        _check(speeds, -arm.speed, arm.speed, k * period, _SPEED)
         if k == 0:
             start = angles, speeds
         angles = angles + period * speeds
     return Programme(*start, ctrl, path)
-
-
-def _reach(arm: ArmModel, data: object, goal: object, q: FloatArray, time: float) -> FloatArray:
-    """Solve the inverse kinematics near ``q``."""
-    for _ in range(_ITERATIONS):
-        pin.framesForwardKinematics(arm.model, data, q)
-        error = pin.log6(data.oMf[arm.tip].actInv(goal)).vector  # type: ignore[attr-defined]
-        if np.abs(error).max() < _TOLERANCE:
-            return q
-        J = pin.computeFrameJacobian(arm.model, data, q, arm.tip, pin.ReferenceFrame.LOCAL)
-        try:
-            step = np.linalg.solve(J, error)
-        except np.linalg.LinAlgError:
-            break
-        # Far from the goal a full Newton step may leap into another posture.
-        q = q + step * min(1.0, 0.3 / max(np.abs(step).max(), 1e-300))
-    raise UnreachableMotionError(time, None, "no posture of the arm reaches the point")
 
 
 _ANGLE = "joint {} would need to stand at {:.0f} deg, its range is {:.0f}..{:.0f} deg"

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cache
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -20,13 +20,17 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from plant.arm_model import build_arm_model, home_configuration
-from plant.config import CellConfig
+from plant.arm_model import build_arm_model
+from plant.chain import Arm
+from plant.config import CellConfig, ImperfectionConfig
 from plant.contact import Contact
+from plant.errors import PlantError
 from plant.interface import Cause, Trip
-from plant.memory import Memory
+from plant.memory import HEART_JOINTS, Memory
+from plant.own_arm import tool_arm
 from plant.playback import Programme
-from plant.viper import TOOL, VIPER_S650, FloatArray
+from plant.tissue import worst_force
+from plant.viper import FloatArray
 
 OFF, WATCHING, RETRACTING, BRAKED = range(4)
 """What the guard is doing, ``memory["mode"]``."""
@@ -66,7 +70,7 @@ class Guard:
         block: Memory,
         engine: tuple[Any, Any],
         contact: Contact,
-        heart: Programme,
+        arms: tuple[Programme, Arm],
     ) -> None:
         """Derive limits and gains.
 
@@ -75,38 +79,41 @@ class Guard:
             block: what it shares with the physics loop.
             engine: model and data of MuJoCo.
             contact: released at a trip.
-            heart: Robot_Heart's programme.
+            arms: Robot_Heart's programme, and Robot_Tool.
         """
+        heart, tool = arms
         own, lag = config.protection, config.imperfections.torque_lag
         self._config, self._block = own, block
         model, data = self._model, self._data = engine
         self._contact = contact
         self._period, self._substeps = config.period, config.substeps
         step = config.period / config.substeps
-        block["lower"] = VIPER_S650.lower + own.joint_margin
-        block["upper"] = VIPER_S650.upper - own.joint_margin
+        block["lower"] = tool.lower + own.joint_margin
+        block["upper"] = tool.upper - own.joint_margin
         block["goal_lower"], block["goal_upper"] = block["lower"], block["upper"]
-        block["joint_speed"] = own.joint_speed * VIPER_S650.joint_speed.si
+        block["joint_speed"] = own.joint_speed * tool.speed
         block["tip_speed"], block["force"] = own.tip_speed, own.force
         block["tracking_velocity"] = own.tracking_velocity
         block["tracking_orientation"] = _FLAT * math.sin(0.5 * own.tracking_orientation)
         block["tracking_heart"] = own.tracking_heart
-        inertia, reserve, _, _ = _strength()
+        inertia, reserve, _, _ = _strength(tool)
         block["stopping"] = np.diag(inertia) / (2.0 * _SAFETY * reserve)
-        block["reaction"] = step + 2.0 * lag
+        block["reaction"] = step + 2.0 * _lag(config.imperfections)
         damping = config.tool.velocity_damping
         block["decay"] = math.exp(-damping * step)
         block["gain"] = -math.expm1(-damping * step) / damping if damping > 0 else step
         bandwidth = min(_BANDWIDTH, _LAG_SHARE / lag) if lag > 0 else _BANDWIDTH
         block["inertia"] = inertia.ravel()
         block["stiff"], block["damp"] = bandwidth**2, 2.0 * bandwidth
-        block["torque_limit"], block["leash"] = VIPER_S650.torque_limit.si, _LEASH
+        block["torque_limit"], block["leash"] = tool.torque_limit, _LEASH
         # Views: looking them up costs as much as a small matrix product.
         self._mode, self._asked = block["mode"], block["asked"]
         self._angles = heart.angles
         self._turns = np.diff(heart.angles, axis=0, append=heart.angles[-1:]) / config.substeps
         self._heart, self._heart_step = block["heart"], block["heart_step"]
-        self._q, self._speeds = data.qpos[6:12], data.qvel[6:12]
+        self._own = own_joints = slice(HEART_JOINTS, HEART_JOINTS + tool.joints)
+        self._q, self._speeds = data.qpos[own_joints], data.qvel[own_joints]
+        self._motor, self._motor_speeds = data.qpos[-tool.joints :], data.qvel[-tool.joints :]
         self._tip, self._frame = data.site("tool_tip").xpos, data.site("tool_tip").xmat
         self._surface = data.site("heart_surface")
         self._site = model.site("tool_tip").id
@@ -141,7 +148,7 @@ class Guard:
         if self._missed > self._config.heartbeat and self._mode == WATCHING:
             self._block["step"] = 0
             self._trip(Cause.HEARTBEAT, -1, float(self._missed), float(self._config.heartbeat))
-            self._contact.follow()
+            self._contact.follow(0)
             self.retract()
 
     def expect(self, cycle: int, asked: FloatArray) -> None:
@@ -219,7 +226,7 @@ class Guard:
             limit = float(m[cause.value])
             yield size <= limit, cause, -1, size, limit
         limit = float(m["tracking_heart"])
-        heart = zip(self._data.qpos[:6].tolist(), self._heart.tolist(), strict=True)
+        heart = zip(self._data.qpos[:HEART_JOINTS].tolist(), self._heart.tolist(), strict=True)
         for i, (x, wanted) in enumerate(heart):
             yield abs(x - wanted) <= limit, Cause.TRACKING_HEART, i, abs(x - wanted), limit
         force, limit = self._contact.size(), float(m["force"])
@@ -236,7 +243,7 @@ class Guard:
         stiff, damp, share = float(m["stiff"]), float(m["damp"]), 1.0
         ends = zip(m["goal_lower"].tolist(), m["goal_upper"].tolist(), strict=True)
         goals, paces = m["goal"].tolist(), m["goal_speed"].tolist()
-        states = zip(self._q.tolist(), self._speeds.tolist(), ends, strict=True)
+        states = zip(self._motor.tolist(), self._motor_speeds.tolist(), ends, strict=True)
         wanted = []
         for i, (q, speed, (low, high)) in enumerate(states):
             goal = goals[i] + paces[i] * timestep
@@ -244,9 +251,9 @@ class Guard:
             m["goal"][i] = goal
             wanted.append(stiff * (goal - q) + damp * (paces[i] - speed))
         torques = []
-        bias, limits = self._data.qfrc_bias[6:12].tolist(), m["torque_limit"].tolist()
+        bias, limits = self._data.qfrc_bias[self._own].tolist(), m["torque_limit"].tolist()
         for row, borne, limit in zip(
-            m["inertia"].reshape(6, 6).tolist(), bias, limits, strict=True
+            m["inertia"].reshape(len(bias), -1).tolist(), bias, limits, strict=True
         ):
             torque = 0.0
             for factor, want in zip(row, wanted, strict=True):
@@ -256,16 +263,16 @@ class Guard:
             if share * abs(torque) > room:
                 share = room / abs(torque)
         for i, (borne, torque) in enumerate(zip(bias, torques, strict=True)):
-            self._data.ctrl[6 + i] = borne + share * torque
+            self._data.ctrl[HEART_JOINTS + i] = borne + share * torque
 
     def _trip(self, cause: Cause, joint: int, value: float, limit: float) -> None:
         m = self._block
         self._mode[()] = RETRACTING
         m["cause"], m["joint"], m["value"], m["limit"] = _NUMBER[cause], joint, value, limit
-        m["unilateral"] = 1
+        m["unilateral"] = m["renewed"] = 1
         m["normal"], m["tip_tripped"] = self._surface.xmat[2::3], self._tip
         m["depth"] = float(self._contact.depth)
-        m["goal"], m["goal_speed"] = self._q, 0.0
+        m["goal"], m["goal_speed"] = self._motor, 0.0
 
     def _aim(self) -> None:
         """Once a period: how fast each joint's goal moves, and whether the brakes can close."""
@@ -277,17 +284,17 @@ class Guard:
             aside = _STRAIGHTENING * (way - done * normal)
             aside *= speed / max(speed, float(np.linalg.norm(aside)))
             pace[:] = self._lead(np.concatenate([speed * normal - aside, np.zeros(3)]))
-            rises = float(normal @ (self._jacobian[:3, 6:12] @ pace))
+            rises = float(normal @ (self._jacobian[:3, self._own] @ pace))
             travel = max(0.0, self._config.retraction + float(m["depth"]))
             self._arrived = done >= travel or rises < _STUCK * speed
         if self._arrived:
             pace[:] = 0.0
-            if np.abs(self._speeds).max() < _REST:
+            if np.abs(self._motor_speeds).max() < _REST:
                 self._mode[()] = BRAKED
-                close_brakes(self._model, self._data)
+                close_brakes(self._model, self._data, self._q.size)
 
     def _lead(self, twist: FloatArray) -> FloatArray:
-        """Joint speeds ``(6,)`` [rad/s] that lead the tip by ``twist (6,)`` [m/s, rad/s].
+        """Joint speeds ``(n,)`` [rad/s] that lead the tip by ``twist (6,)`` [m/s, rad/s].
 
         By damped least squares: where the arm is stretched it goes another way round, turns the
         instrument or is slow, but its tip is never led back into the tissue. A joint at the end of
@@ -296,7 +303,7 @@ class Guard:
         m, J = self._block, self._jacobian
         mujoco.mj_jacSite(self._model, self._data, J[:3], J[3:], self._site)
         high, low = m["goal"] >= m["goal_upper"], m["goal"] <= m["goal_lower"]
-        A = J[:, 6:12] * _WEIGHTS
+        A = J[:, self._own] * _WEIGHTS
         while True:
             speeds = A.T @ np.linalg.solve(A @ A.T + _DAMPING, twist)
             blocked = (high & (speeds > 0.0)) | (low & (speeds < 0.0))
@@ -307,13 +314,13 @@ class Guard:
             A[:, blocked] = 0.0
 
 
-def close_brakes(model: Any, data: Any) -> None:
-    """Lock the tool's joints where they are."""
-    model.eq_data[:6, 0] = data.qpos[6:12]
-    data.eq_active[:6] = True
+def close_brakes(model: Any, data: Any, joints: int) -> None:
+    """Lock the motors of the tool's joints, of which there are so many, where they are."""
+    model.eq_data[:joints, 0] = data.qpos[-joints:]
+    data.eq_active[:joints] = True
 
 
-def force_cap(config: CellConfig, tissue_speed: float) -> float:
+def force_cap(config: CellConfig, tissue_speed: float, tool: Arm | None = None) -> float:
     """Largest contact force that can occur whatever is commanded, where the arm stands at home [N].
 
     The guard trips at the latest at ``protection.force``, with the tip no faster than its limit and
@@ -321,7 +328,9 @@ def force_cap(config: CellConfig, tissue_speed: float) -> float:
     tip stops, and meanwhile the tissue comes towards it:
 
         v = v_limit + a h + (a + b) lag       v' = -b + (a + b) exp(-t / lag), integrated
-        cap = F_limit + K (v h + v^2 / (2 b) + v_tissue v / b) + D (v + v_tissue)
+        way = v h + v^2 / (2 b) + v_tissue v / b
+        cap = F_limit + K way + D (v + v_tissue)       for a spring or a Kelvin-Voigt element;
+                                                       for all laws, see `plant.tissue.worst_force`
 
     a is the largest acceleration of the tip, b its smallest deceleration, in any direction.
     Infinite without protection.
@@ -329,34 +338,56 @@ def force_cap(config: CellConfig, tissue_speed: float) -> float:
     Args:
         config: of the cell.
         tissue_speed: largest speed of the tissue [m/s].
+        tool: the arm of `plant.own_arm.tool_arm`, where it is at hand.
     """
     own, contact = config.protection, config.contact
     if not own.enabled:
         return math.inf
-    _, _, hardest, braking = _strength()
-    step, lag = config.period / config.substeps, config.imperfections.torque_lag
+    _, _, hardest, braking = _strength(tool or tool_arm(config))
+    step, lag = config.period / config.substeps, _lag(config.imperfections)
     speed = own.tip_speed + hardest * step + (hardest + braking) * lag
     way = speed * step + speed**2 / (2.0 * braking) + tissue_speed * speed / braking
-    return own.force + contact.stiffness * way + contact.damping * (speed + tissue_speed)
+    return worst_force(contact, own.force, way, speed + tissue_speed)
 
 
-@cache
-def _strength() -> tuple[FloatArray, FloatArray, float, float]:
+def _lag(flaws: ImperfectionConfig) -> float:
+    """Time that the torque at the links needs to turn round [s].
+
+    A spring between motor and link unwinds no faster than its mode swings.
+    """
+    swing = 1.0 / (2.0 * math.pi * flaws.joint_frequency) if flaws.joint_frequency > 0 else 0.0
+    return flaws.torque_lag + swing
+
+
+@lru_cache(maxsize=4)
+def _strength(tool: Arm) -> tuple[FloatArray, FloatArray, float, float]:
     """What the tool's motors can do at home.
 
-    Returns the joint-space inertia ``(6, 6)`` [kg m^2], the torque that gravity leaves to each
-    joint ``(6,)`` [N m], the largest acceleration of the tip, and the smallest deceleration of a
+    Returns the joint-space inertia ``(n, n)`` [kg m^2], the torque that gravity leaves to each
+    joint ``(n,)`` [N m], the largest acceleration of the tip, and the smallest deceleration of a
     tip that moves without turning and is braked as `Guard.retract` brakes [m/s^2].
+
+    Raises:
+        PlantError: they do not bear the arm's weight.
     """
-    arm, q = build_arm_model(VIPER_S650, TOOL), home_configuration(VIPER_S650, TOOL)
+    arm, q = build_arm_model(tool), tool.home
     model, data = arm.model, arm.model.createData()
     inertia = np.triu(pin.crba(model, data, q))
     inertia = inertia + np.triu(inertia, 1).T
-    limit = VIPER_S650.torque_limit.si
-    reserve = limit - np.abs(pin.computeGeneralizedGravity(model, data, q))
+    limit = tool.torque_limit
+    weight = np.abs(pin.computeGeneralizedGravity(model, data, q))
+    reserve = limit - weight
+    worst = int(reserve.argmin())
+    if not reserve[worst] > 0.0:
+        raise PlantError(
+            f"torque_limit: joint {worst + 1} can give {limit[worst]:.3g} N m, which does not bear "
+            f"the arm's weight at home: {weight[worst]:.3g} N m"
+        )
     J = pin.computeFrameJacobian(model, data, q, arm.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-    extremes = limit * np.array(list(product([-1.0, 1.0], repeat=6)))
+    extremes = limit * np.array(list(product([-1.0, 1.0], repeat=tool.joints)))
     hardest = np.linalg.norm(extremes @ np.linalg.inv(inertia) @ J[:3].T, axis=1).max()
     # Torque that each motor needs for 1 m/s^2, in the direction that is the worst for it.
-    torques = np.linalg.norm(inertia @ np.linalg.solve(J, np.eye(6)[:, :3]), axis=1)
+    ways = np.eye(6)[:, :3]
+    speeds = np.linalg.solve(J, ways) if tool.joints == 6 else np.linalg.pinv(J) @ ways
+    torques = np.linalg.norm(inertia @ speeds, axis=1)
     return inertia, reserve, float(hardest), float((reserve / torques).min())

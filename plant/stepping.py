@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -24,6 +25,9 @@ FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off")
 Python computes."""
 
 
+Act = Callable[[], None]
+
+
 class Stepper(Protocol):
     """Brings the physics to the next control instant."""
 
@@ -36,32 +40,49 @@ class PythonStepper:
     """The loop over the physics steps of a period: the reference."""
 
     def __init__(
-        self, block: Memory, model: Any, data: Any, contact: Contact, guard: Guard
+        self,
+        block: Memory,
+        model: Any,
+        data: Any,
+        contact: Contact,
+        guard: Guard,
+        *,
+        before: Sequence[Act] = (),
+        between: Sequence[Act] = (),
     ) -> None:
+        """Prepare.
+
+        Args:
+            block, model, data, contact, guard: of the cell.
+            before: what is done before each physics step.
+            between: what is done when a step has brought new angles and speeds, before anything
+                is derived from them.
+        """
         self._model, self._data, self._contact, self._guard = model, data, contact, guard
+        self._before, self._between = before, between
         self._substeps = int(block["substeps"])
-        self._mode, self._peak, self._only_pushes = (
-            block["mode"],
-            block["peak"],
-            block["unilateral"],
-        )
+        self._mode, self._peak, self._renewed = block["mode"], block["peak"], block["renewed"]
 
     def advance(self) -> None:
         """Go on by one period."""
         contact, guard, mode = self._contact, self._guard, self._mode
         for step in range(1, self._substeps + 1):
+            for act in self._before:
+                act()
             mujoco.mj_step2(self._model, self._data)
+            for act in self._between:
+                act()
             # Positions and velocities of the new instant: what mj_step leaves is a step old.
             mujoco.mj_step1(self._model, self._data)
-            if self._only_pushes:
-                contact.follow()
+            if self._renewed:
+                contact.follow(1)
             force = contact.size()
             if not force <= self._peak:
                 self._peak[()] = force
             if mode == WATCHING:
                 guard.watch(step)
                 if mode == RETRACTING:
-                    contact.follow()
+                    contact.follow(0)
             if mode == RETRACTING:
                 guard.retract()
 
@@ -91,10 +112,10 @@ class CompiledStepper:
 
 
 @cache
-def source_text() -> str:
-    """Return the C text of the loop, one translation unit."""
+def source_text(joints: int) -> str:
+    """Return the C text of the loop for a tool with this many joints, one translation unit."""
     body = files("plant").joinpath("stepping.c").read_text(encoding="utf-8")
-    return f"#include <math.h>\n#include <stdint.h>\n\n{struct_text()}\n{body}"
+    return f"#include <math.h>\n#include <stdint.h>\n\n{struct_text(joints)}\n{body}"
 
 
 @cache

@@ -31,6 +31,10 @@ class AxisModel:
     """Covariance of the states' unmodelled change per cycle, ``(n, n)``."""
     measurement_noise: Array
     """Covariance of what is measured, ``(n_measured, n_measured)``."""
+    prior: Array
+    """Standard deviation of each state as known beforehand, infinite where not known, ``(n,)``."""
+    gate: Array
+    """How far each measurement may be off what is expected, ``(n_measured,)``."""
     quantities: tuple[Quantity, ...]
     """What each state is, ``n`` names."""
 
@@ -68,42 +72,75 @@ def axis_model(
     quantities += ["velocity"] * (from_force and tool_velocity)
     quantities += ["acceleration"] * ((model.lag > 0) + model.delay)
     n = augmented.n_states
-    noise = np.zeros(n)
+    noise, prior = np.zeros(n), np.full(n, np.inf)
     noise[0] = _UNMODELLED_FORCE
     if kind == "none":
         noise[:2] = _TAKEN_AS_MEASURED
     elif kind == "constant":
         augmented = with_disturbance(augmented, contact.load, constant())
-        noise = np.append(noise, observer.input_drift)
+        noise, prior = np.append(noise, observer.input_drift), np.append(prior, np.inf)
         quantities += ["acceleration"]
     elif kind == "ramp":
         augmented = with_disturbance(augmented, contact.load, ramp(period))
         noise = np.append(noise, [0.0, observer.input_slope_drift])
+        prior = np.append(prior, [np.inf, observer.tissue_jerk])
         quantities += ["acceleration", "jerk"]
+    elif kind in RHYTHMIC:
+        augmented = with_disturbance(augmented, contact.load, constant())
+        noise = np.append(noise, observer.input_drift)
+        quantities += ["acceleration"]
     else:
         augmented = with_disturbance(augmented, contact.tissue, parabola(period))
         augmented = with_disturbance(augmented, contact.load, constant())
         noise = np.append(noise, [0.0, 0.0, observer.tissue_jerk_drift, observer.input_drift])
+        prior = np.append(
+            prior, [np.inf, observer.tissue_acceleration, observer.tissue_jerk, np.inf]
+        )
         quantities += ["velocity", "acceleration", "jerk", "acceleration"]
+    if model.damping > 0:
+        augmented = _damped(augmented, model.damping, n if kind == "fused" else None)
     force, velocity = augmented.C, _widened(contact.velocity, augmented.n_states)
     uses_velocity = tool_velocity or not from_force
     if from_force and tool_velocity:
         noise[2] = observer.input_drift * period
-    sensors = [observer.force_noise, observer.velocity_noise][: 1 + uses_velocity]
+    force_noise = _FORCE_OF_THE_TOOL if kind in RHYTHMIC else observer.force_noise
+    sensors = [force_noise, observer.velocity_noise][: 1 + uses_velocity]
     return AxisModel(
         augmented,
         velocity,
         np.vstack([force, velocity][: 1 + uses_velocity]),
         np.diag(noise**2),
         np.diag(np.square(sensors)),
+        prior,
+        np.array([observer.force_gate, np.inf][: 1 + uses_velocity]),
         tuple(quantities),
     )
 
 
+RHYTHMIC: tuple[Disturbance, ...] = ("tracked", "beats")
+"""Disturbances in which the tissue's motion is no state but a previewed signal."""
+_FORCE_OF_THE_TOOL = 1e-3
+"""Standard deviation of the force that the tool's own motion causes [N]: it is computed from the
+encoders, so there is next to no noise in it."""
 _UNMODELLED_FORCE = 1e-6
 """Change of the force per cycle that no model explains [N]: keeps the Riccati equation regular."""
 _TAKEN_AS_MEASURED = 1e3
 """Noise so large that force and velocity [N, m/s] are taken as they are measured."""
+
+
+def _damped(model: LinearModel, damping: float, tissue: int | None) -> LinearModel:
+    """Return the model whose output is spring and damper, ``y = F + (B / K) F'``.
+
+    Args:
+        model: its output is the spring's force, its second state the velocity that loads it.
+        damping: B [N s/m].
+        tissue: number of the state that is the tissue's velocity, where there is one.
+    """
+    C = np.array(model.C)
+    C[0, 1] = damping
+    if tissue is not None:
+        C[0, tissue] = -damping
+    return LinearModel(model.A, model.B, C, model.period)
 
 
 def _widened(row: Array, n: int) -> Array:

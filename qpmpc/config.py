@@ -8,11 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Lt
 
 from qpmpc.rivals.config import ActiveObserverConfig, LearningConfig, PaperLawConfig, PiConfig
 
-Disturbance = Literal["none", "constant", "ramp", "fused"]
+Disturbance = Literal["none", "constant", "ramp", "fused", "tracked", "beats"]
 Interval = tuple[float, float]
 """Lower and upper bound; infinite: none."""
 
@@ -32,6 +32,29 @@ class ModelConfig:
     """Whole cycles between a command and the torque it causes [cycles]."""
     lag: Annotated[float, Ge(0), Le(0.1)] = 0.001
     """Time constant of a first-order lag from command to acceleration [s]; 0: none."""
+    damping: Annotated[float, Ge(0), Le(1e4)] = 0.0
+    """Damping of the tissue in parallel to its stiffness, B [N s/m]."""
+
+
+@dataclass(frozen=True)
+class RhythmConfig:
+    """``tracked`` and ``beats``: what is assumed of motion that nearly repeats itself."""
+
+    jerk_drift: Annotated[float, Gt(0)] = 20.0
+    """Change per cycle of the tissue's jerk where no rhythm is found [m/s^3], standard
+    deviation."""
+    residual_jerk_drift: Annotated[float, Gt(0)] = 0.8
+    """The same for what the learned beat leaves over [m/s^3]."""
+    memory: Annotated[float, Gt(0), Le(1000)] = 8.0
+    """Beats after which one has lost 63 % of its weight in the learned beat."""
+    amplitude_spread: Annotated[float, Gt(0), Le(1)] = 0.15
+    """Relative spread of the beats' amplitude, standard deviation [-]."""
+    amplitude_memory: Annotated[float, Ge(0), Lt(1)] = 0.7
+    """Share of an amplitude's deviation that the next beat keeps [-]."""
+    beat_delay: Annotated[float, Gt(0), Le(0.1)] = 0.002
+    """``beats``: spread of the time from R peak to motion, standard deviation [s]."""
+    interval_spread: Annotated[float, Gt(0), Le(0.2)] = 0.04
+    """``tracked``: spread of an interval about the one expected, standard deviation [s]."""
 
 
 @dataclass(frozen=True)
@@ -41,19 +64,33 @@ class ObserverConfig:
     disturbance: Disturbance = "fused"
     """``none``: the paper's own state, force and encoder velocity; ``constant`` or ``ramp``: a
     disturbance matched to the input, seen by the force sensor; ``fused``: tissue velocity seen by
-    the force sensor and input error seen by the encoders."""
+    the force sensor and input error seen by the encoders; ``tracked``, ``beats``: input error as
+    a state, the tissue's motion previewed from a learned beat whose phase is found in the motion,
+    or told by the R peaks of an ECG (``docs/rhythm.md``)."""
     force_noise: Annotated[float, Gt(0)] = 0.003
     """Standard deviation of the measured force [N]; a scenario that does not give it gets the
     figure of its sensor."""
     velocity_noise: Annotated[float, Gt(0)] = 1e-5
     """Standard deviation of the tool's measured velocity [m/s]."""
     input_drift: Annotated[float, Gt(0)] = 0.3
-    """``constant``, ``fused`` (input error): change of the disturbance per cycle [m/s^2],
-    standard deviation."""
+    """``constant``, and the input error of ``fused``, ``tracked``, ``beats``: change of the
+    disturbance per cycle [m/s^2], standard deviation."""
     input_slope_drift: Annotated[float, Gt(0)] = 3.0
     """``ramp``: change per cycle of the disturbance's slope [m/s^3], standard deviation."""
     tissue_jerk_drift: Annotated[float, Gt(0)] = 100.0
     """``fused``: change per cycle of the tissue's jerk [m/s^3], standard deviation."""
+    tissue_acceleration: Annotated[float, Gt(0)] = 1.5
+    """``fused``: what is known of the tissue's acceleration beforehand, standard deviation around 0
+    [m/s^2]; used where the force goes missing."""
+    tissue_jerk: Annotated[float, Gt(0)] = 60.0
+    """``fused``, ``ramp``: the same of its jerk [m/s^3]."""
+    patience: Annotated[float, Ge(0), Le(10)] = 0.04
+    """How long force or velocity may be missing and the estimate still be what is decided on [s];
+    then the last plan goes on and the command is held until all is measured again."""
+    force_gate: Annotated[float, Gt(0)] = 2.0
+    """How far a measured force may be off what is expected, in the steady state [N]; one that is
+    further off is not used, three times in a row at most."""
+    rhythm: RhythmConfig = field(default_factory=RhythmConfig)
 
 
 @dataclass(frozen=True)

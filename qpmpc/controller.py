@@ -9,7 +9,7 @@ from typing import Literal, cast, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qpmpc.arrays import Array, all_finite
+from qpmpc.arrays import Array
 from qpmpc.backends import Backend, Limits, backend_class
 from qpmpc.errors import ModelError, QpmpcError, ShapeError, UnknownNameError
 from qpmpc.expectation import Ranges, expected
@@ -129,6 +129,14 @@ class Controller:
         self._fallback.forget()
         self._prepared[0] = 1
 
+    def overrule(self, command: ArrayLike) -> None:
+        """Take note that another command ``(n_inputs,)`` is applied than that of the last step.
+
+        Between `step` and `prepare`. The plan of that step is forgotten: it began otherwise.
+        """
+        self.command[:] = command
+        self._fallback.forget()
+
     def prepare(self) -> None:
         """Advance the observer under the command just applied; needs no measurement."""
         if self.compiled is not None:
@@ -141,10 +149,10 @@ class Controller:
     def step(self, measurement: Array, preview: Array, *, deadline: float | None = None) -> Step:
         """Decide the command of this cycle.
 
-        Where no usable answer comes (NaN measured, infeasible, limit reached) the status tells why
-        and `Fallback` decides: the last plan goes on, then the clipped closed form, then the
-        command is held. What is not finite is not blended into the estimate: the observer goes on
-        by prediction alone until a measurement comes.
+        Where no usable answer comes (nothing measured for too long, infeasible, limit reached) the
+        status tells why and `Fallback` decides: the last plan goes on, then the clipped closed
+        form, then the command is held. What is not finite is not measured: the observer goes on
+        with the rows that are, and decisions with its estimate, for as long as its patience lasts.
 
         The same stands in where the answer is not there by the deadline (``Status.LATE``), and
         where nothing is left of it no solve is begun. A late answer is not remembered as a plan
@@ -194,8 +202,8 @@ class Controller:
         due = begin + remaining
         self.prepare()
         problem, previous = self.problem, self.command
-        measured = all_finite(measurement)
-        state = self.observer.correct(measurement) if measured else self.observer.state
+        state = self.observer.correct(measurement)
+        measured = self.observer.informed
         np.dot(self._C, state, out=self._output)
         problem.update(state, previous, self.reference(preview, self._output))
         updated, built = perf_counter(), 0.0

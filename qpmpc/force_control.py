@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from time import perf_counter
 from typing import Literal, get_args
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from qpmpc.arrays import Array
-from qpmpc.axis import Quantity, axis_model
+from qpmpc.axis import RHYTHMIC, Quantity, axis_model
 from qpmpc.backends import Backend, Limits, backend_class
 from qpmpc.bounds import Bound, CommandBound, MappedBound, OutputBound, RateBound
 from qpmpc.cone import force_cone
@@ -24,6 +25,8 @@ from qpmpc.observer import KalmanObserver
 from qpmpc.penalties import SoftBound, ordered
 from qpmpc.protocol import About
 from qpmpc.reference import ExponentialReference
+from qpmpc.rhythm.bounds import ShiftedBounds
+from qpmpc.rhythm.preview import MotionPreview
 from qpmpc.step import Step
 
 Axis = Literal["x", "y", "z"]
@@ -108,6 +111,9 @@ class ForceController:
             block_diag(*[axis.measured] * count),
             block_diag(*[axis.process_noise] * count),
             block_diag(*[axis.measurement_noise] * count),
+            patience=round(config.observer.patience / period),
+            gate=np.tile(axis.gate, count),
+            prior=np.tile(axis.prior, count),
         )
         reference = ExponentialReference(config.horizon, count, period, config.reference_time)
         self.ranges = self._ranges(config, axis.quantities, period)
@@ -119,6 +125,16 @@ class ForceController:
             compiled=config.solver.compiled,
         )  # fmt: skip
         self._measurement = np.zeros((count, axis.measured.shape[0]))
+        self.preview: MotionPreview | None = None
+        """What is known ahead of the tissue's motion, where the disturbance is rhythmic."""
+        if config.observer.disturbance in RHYTHMIC:
+            self.preview = MotionPreview(
+                config.model, config.observer, count, period, config.horizon
+            )
+            self._shifted = ShiftedBounds(
+                problem,
+                {b.name: b for b in soft if isinstance(b, OutputBound) and b.name != "velocity"},
+            )
 
     @property
     def rows(self) -> Mapping[str, slice]:
@@ -133,7 +149,10 @@ class ForceController:
     def reset(self, force: Array) -> None:
         """Start at rest with the given contact force ``(n_axes,)`` [N]."""
         state = np.zeros((len(self.axes), self.general.problem.model.n_states // len(self.axes)))
-        state[:, 0] = force
+        if self.preview is None:
+            state[:, 0] = force
+        else:  # the tool begins where it is, and all the force counts as the tissue's
+            self.preview.reset()
         self.general.reset(state.ravel())
 
     def step(
@@ -147,7 +166,25 @@ class ForceController:
             preview: setpoint s(k) ... s(k+N), ``(N + 1, n_axes)`` [N].
             deadline: what is left until the answer has to be there [s], see `Controller.step`.
         """
-        return self.general.step(self.measured(force, velocity), preview, deadline=deadline)
+        known = self.preview
+        if known is None:
+            return self.general.step(self.measured(force, velocity), preview, deadline=deadline)
+        begin = perf_counter()
+        known.update(force, velocity)
+        self._shifted.shift(known.motion[1:])
+        left = self.general.deadline if deadline is None else deadline
+        step = self.general.step(
+            self.measured(known.tool, velocity),
+            preview - known.motion,
+            deadline=left - (perf_counter() - begin),
+        )
+        step.predicted[...] += known.motion[1:]
+        return step
+
+    def beat(self) -> None:
+        """Tell that an R peak has come since the last step; heeded by ``beats`` alone."""
+        if self.preview is not None:
+            self.preview.estimator.beat()
 
     def measured(self, force: Array, velocity: Array) -> Array:
         """Return force and velocity as the observer takes them, valid until the next call."""
@@ -159,6 +196,25 @@ class ForceController:
     def prepare(self) -> None:
         """Do what needs no measurement, after the command has been applied."""
         self.general.prepare()
+        if self.preview is not None:
+            self.preview.estimator.advance()
+
+    def adopt(self, *, command: Array | None = None, force: Array | None = None) -> None:
+        """Go on from what is so in place of what was decided or expected.
+
+        Args:
+            command: applied in place of that of the last step, ``(n_axes,)`` [m/s^2]; between
+                `step` and `prepare`.
+            force: contact force that the estimate counts from now on, ``(n_axes,)`` [N]: after
+                `step`, that of this cycle; after `prepare`, that of the next.
+        """
+        if command is not None:
+            self.general.overrule(command)
+        if force is not None and self.preview is not None:
+            self.preview.adopt(force)
+        elif force is not None:
+            state = self.general.observer.state
+            state.reshape(len(self.axes), -1)[:, 0] = force
 
     def move(self, name: str, lower: Array, upper: Array) -> None:
         """Change a bound from the next step on; margins are kept as configured.
@@ -171,7 +227,11 @@ class ForceController:
             UnknownNameError, BoundsError: see `Problem.move`.
         """
         margin = getattr(self._bounds, f"{name}_margin", 0.0)
-        self.general.problem.move(name, *_tightened(name, lower, upper, margin))
+        sides = _tightened(name, lower, upper, margin)
+        if self.preview is not None and name in self._shifted:
+            self._shifted.move(name, *sides)
+        else:
+            self.general.problem.move(name, *sides)
 
     def view(self, joints: JointSpace) -> None:
         """Take the joints as they are now; before each step, where `bounds_joints`."""
@@ -179,7 +239,10 @@ class ForceController:
         if np.isfinite(share.speed):
             problem.map("joint_speed", joints.speed_gain, joints.speed_offset)
         if np.isfinite(share.torque):
-            problem.map("joint_torque", _torque_map(joints), joints.torque_offset)
+            offset = joints.torque_offset
+            if self.preview is not None:  # expected for this cycle by the one before
+                offset = offset + joints.force_gain @ self.preview.motion[1]
+            problem.map("joint_torque", _torque_map(joints), offset)
 
     def _hard_bounds(self, moving: Collection[str]) -> list[Bound]:
         result: list[Bound] = []

@@ -1,87 +1,31 @@
-"""Steady-state Kalman observer for any (A, B) and measured rows; augmented models included."""
+"""Kalman observer for any (A, B) and measured rows; augmented models included."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, solve_discrete_are
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
-from qpmpc.arrays import Array, matrix
+from qpmpc.arrays import Array, all_finite, matrix, vector
 from qpmpc.errors import ObserverError
+from qpmpc.intermittent import intermittent
+from qpmpc.kalman import joined, kalman_gain, subsystems
 from qpmpc.models import LinearModel
 
+__all__ = ["KalmanObserver", "kalman_gain"]
 
-def kalman_gain(A: Array, C: Array, W: Array, V: Array) -> Array:
-    """Return the filter gain L of the steady-state Kalman observer, ``(n, n_measured)``.
-
-    ``x(k|k) = x(k|k-1) + L (y(k) - C x(k|k-1))`` with L from the discrete algebraic Riccati
-    equation for process noise W ``(n, n)`` and measurement noise V ``(n_measured, n_measured)``.
-
-    What nothing couples is solved apart, so that axes do not leak into each other by rounding.
-
-    Raises:
-        ObserverError: the equation has no stabilising solution: what is measured does not tell
-            some state that does not decay by itself.
-    """
-    n = A.shape[0]
-    L = np.zeros((n, C.shape[0]))
-    links = np.block([[A, C.T], [C, V]]) != 0
-    links[:n, :n] |= W != 0
-    count, label = connected_components(csr_matrix(links), directed=False)
-    for i in range(count):
-        x, y = np.flatnonzero(label[:n] == i), np.flatnonzero(label[n:] == i)
-        if x.size:
-            own, seen = np.ix_(x, x), np.ix_(y, x)
-            L[np.ix_(x, y)] = _coupled_gain(A[own], C[seen], W[own], V[np.ix_(y, y)])
-    return L
-
-
-def _coupled_gain(A: Array, C: Array, W: Array, V: Array) -> Array:
-    """Return the gain of one subsystem."""
-    if not C.size:
-        _require_stable(A)
-        return np.zeros((A.shape[0], 0))
-    # Forces in N, accelerations of tens of m/s^2 and noise of micrometres per second meet here:
-    # scale states and measurements to unit noise gains before the Riccati solver sees them.
-    scale_y = 1.0 / np.sqrt(np.diag(V))
-    scale_x = _state_scale(A, scale_y[:, None] * C)
-    A_s = scale_x[:, None] * A / scale_x
-    C_s = scale_y[:, None] * C / scale_x
-    W_s = scale_x[:, None] * W * scale_x
-    V_s = scale_y[:, None] * V * scale_y
-    try:
-        P = solve_discrete_are(A_s.T, C_s.T, W_s, V_s)
-    except (LinAlgError, ValueError) as error:
-        raise ObserverError(
-            f"no steady-state observer: the measured outputs do not determine every state ({error})"
-        ) from error
-    L = np.linalg.solve(C_s @ P @ C_s.T + V_s, C_s @ P).T
-    _require_stable((np.eye(A.shape[0]) - L @ C_s) @ A_s)
-    return np.asarray(L / scale_x[:, None] * scale_y)
-
-
-def _require_stable(closed: Array) -> None:
-    radius = np.abs(np.linalg.eigvals(closed)).max()
-    if not radius < 1.0:
-        raise ObserverError(f"no stable observer: its slowest pole would lie at {radius:.6f}")
-
-
-def _state_scale(A: Array, C: Array) -> Array:
-    """Largest effect of each state on the weighted outputs over the first steps."""
-    effect = np.zeros(A.shape[0])
-    power = C
-    for _ in range(2 * A.shape[0]):
-        effect = np.maximum(effect, np.abs(power).max(axis=0))
-        power = power @ A
-    return np.where(effect > 0, effect, 1.0)
+_NEVER = np.int64(2**40)
+"""Cycles without a row that has not been measured yet."""
 
 
 class KalmanObserver:
     """State estimate that a controller carries from cycle to cycle.
 
     `correct` takes a measurement, `predict` the command that was applied; both work in place.
+
+    As long as everything is measured, the gain is that of the steady state. Rows that are missing
+    (NaN or infinite), or that the gate refuses, are left out: the covariance is then followed from
+    cycle to cycle, and with it the gain for the rows that are there, until everything has been
+    there long enough for the steady state to be back.
     """
 
     def __init__(
@@ -90,6 +34,10 @@ class KalmanObserver:
         measured: ArrayLike,
         process_noise: ArrayLike,
         measurement_noise: ArrayLike,
+        *,
+        patience: int = 0,
+        gate: ArrayLike = np.inf,
+        prior: ArrayLike = np.inf,
     ) -> None:
         """Compute the steady-state gain.
 
@@ -99,9 +47,15 @@ class KalmanObserver:
             process_noise: W, covariance of the states' increments per cycle, ``(n, n)``.
             measurement_noise: V, covariance of the measurement, ``(n_measured, n_measured)``,
                 positive definite.
+            patience: cycles that a row may be missing until the estimate counts as uninformed.
+            gate: how far a row may lie off what is expected before it is taken for wrong, at most
+                three times in a row, in its unit and in the steady state; where less is known it
+                is wider, as the deviation of the innovation is; scalar or ``(n_measured,)``.
+            prior: standard deviation of each state as it is known beforehand, around 0; taken into
+                account when measurements begin to fail; scalar or ``(n,)``, infinite: not known.
 
         Raises:
-            ObserverError: no steady-state observer exists.
+            ObserverError: no steady-state observer exists, or an argument is out of range.
         """
         n = model.n_states
         self.A, self.B = np.array(model.A), np.array(model.B)
@@ -113,20 +67,56 @@ class KalmanObserver:
         V = matrix("measurement_noise", measurement_noise, m, m)
         if np.linalg.eigvalsh(V).min() <= 0:
             raise ObserverError("measurement_noise must be positive definite")
-        self.gain = kalman_gain(self.A, self.measured, W, V)
+        self.gate = np.array(vector("gate", gate, m, finite=False))
+        """Innovation up to which a row is taken in the steady state, ``(n_measured,)``."""
+        if not (self.gate > 0).all():
+            raise ObserverError(f"gate must be positive, got {self.gate.min():g}")
+        if patience < 0:
+            raise ObserverError(f"patience must not be negative, got {patience} cycles")
+        parts = subsystems(self.A, self.measured, W, V)
+        self.gain = joined(parts, self.measured.shape)
+        """Filter gain of the steady state, ``(n, n_measured)``."""
         self.state = np.zeros(n)
+        self.patience = patience
+        self.missing = np.full(m, _NEVER)
+        """Cycles for which each row has not been used, ``(n_measured,)``."""
+        self.settled = np.ones(1, dtype=np.int64)
+        """Whether every gain is that of the steady state, ``(1,)``; 1 or 0."""
+        self._gated = bool(np.isfinite(self.gate).any())
+        known = vector("prior", prior, n, finite=False)
+        if not (known > 0).all():
+            raise ObserverError(f"prior must be positive, got {known.min():g}")
+        self._parts = intermittent(parts, known)
         self._innovation = np.zeros(m)
         self._work, self._work2 = np.zeros(n), np.zeros(n)
 
+    @property
+    def informed(self) -> bool:
+        """Whether every row has been measured, and none was missing longer than `patience`."""
+        return int(self.missing.max(initial=0)) <= self.patience
+
     def reset(self, state: ArrayLike = 0.0) -> None:
-        """Set the estimate, ``(n,)`` or a scalar for all."""
+        """Set the estimate, ``(n,)`` or a scalar for all; it counts for no measurement."""
         self.state[:] = state
+        self.missing[:] = _NEVER
+        self.settled[0] = 1
+        for parts in self._parts:
+            parts.reset()
 
     def correct(self, measurement: Array) -> Array:
-        """Blend in a measurement ``(n_measured,)``; return the estimate x(k|k), in place."""
+        """Blend in a measurement ``(n_measured,)``; return the estimate x(k|k), in place.
+
+        What is not finite is not measured.
+        """
         innovation = np.dot(self.measured, self.state, out=self._innovation)
         np.subtract(measurement, innovation, out=innovation)
-        self.state += np.dot(self.gain, innovation, out=self._work)
+        if self.settled[0] and all_finite(innovation) and self._within(innovation):
+            self.state += np.dot(self.gain, innovation, out=self._work)
+            self.missing.fill(0)
+        else:
+            for parts in self._parts:
+                parts.correct(self.state, innovation, self.gate, self.missing)
+            self.settled[0] = all(parts.settled.all() for parts in self._parts)
         return self.state
 
     def predict(self, command: Array) -> Array:
@@ -135,3 +125,6 @@ class KalmanObserver:
         self._work += np.dot(self.B, command, out=self._work2)
         self.state[:] = self._work
         return self.state
+
+    def _within(self, innovation: Array) -> bool:
+        return not self._gated or bool((np.abs(innovation) <= self.gate).all())

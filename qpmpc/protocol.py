@@ -69,6 +69,21 @@ class ForceControl(Protocol):
         """Do what needs no measurement, after the command has been applied."""
         ...
 
+    def beat(self) -> None:
+        """Tell that an R peak has come since the last step."""
+        ...
+
+    def adopt(self, *, command: Array | None = None, force: Array | None = None) -> None:
+        """Go on from what is so in place of what was decided or expected.
+
+        Args:
+            command: applied in place of that of the last step, ``(n_axes,)`` [m/s^2]; between
+                `step` and `prepare`.
+            force: contact force that counts from now on, ``(n_axes,)`` [N]: after `step`, that of
+                this cycle; after `prepare`, that of the next.
+        """
+        ...
+
     def move(self, name: str, lower: Array, upper: Array) -> None:
         """Change a bound from the next step on, as far as the controller knows it."""
         ...

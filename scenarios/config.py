@@ -9,6 +9,11 @@ from plant.config import CellConfig
 from qpmpc.config import ControllerConfig, Interval
 from scenarios.motion import Axis, MotionConfig
 
+_NOISE_LEVELS = 5.0
+"""Standard deviations of the measured force that tell contact from none."""
+_HYSTERESIS = 2.0
+"""Force at which contact is found, relative to that below which it is lost [-]."""
+
 
 @dataclass(frozen=True)
 class SetpointStep:
@@ -84,6 +89,30 @@ class BoundsStep:
 
 
 @dataclass(frozen=True)
+class ApproachConfig:
+    """How contact is seen to be lost, and the tool led back; see ``docs/plant.md``.
+
+    Without effect where the contact is bilateral: it cannot be lost.
+    """
+
+    enabled: bool = True
+    """Whether the tool is led by the approach while it is off the tissue, where z is among
+    ``axes``; by the controller if not. Lost contact is reported in either case."""
+    threshold: Annotated[float, Gt(0), Le(100)] | None = None
+    """Measured pressing force, -z, below which there may be no contact, and twice which finds it
+    again [N]; five times ``controller.observer.force_noise`` if not given."""
+    lost_after: Annotated[float, Ge(0), Le(1)] = 0.005
+    """Time below the threshold after which the contact counts as lost [s]."""
+    found_after: Annotated[float, Ge(0), Le(1)] = 0.002
+    """Time above twice the threshold after which it counts as found [s]."""
+    speed: Annotated[float, Gt(0), Le(0.5)] = 0.05
+    """Largest speed at which the tool is led to the tissue [m/s]; less where the bound on its
+    velocity is less."""
+    acceleration: Annotated[float, Gt(0), Le(100)] = 5.0
+    """Largest acceleration with which that speed is taken on [m/s^2]."""
+
+
+@dataclass(frozen=True)
 class Scenario:
     """An experiment on the two-robot cell. Keys of the TOML file are the names of the fields."""
 
@@ -104,8 +133,20 @@ class Scenario:
     bounds_steps: tuple[BoundsStep, ...] = ()
     """Changes of ``controller.bounds`` during the run, in the order of their times. A setpoint may
     lie outside them: the bound is then what is held."""
+    approach: ApproachConfig = field(default_factory=ApproachConfig)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     cell: CellConfig = field(default_factory=CellConfig)
+
+    @property
+    def contact_lost_below(self) -> float:
+        """Measured pressing force below which there may be no contact [N]."""
+        given = self.approach.threshold
+        return _NOISE_LEVELS * self.controller.observer.force_noise if given is None else given
+
+    @property
+    def contact_found_above(self) -> float:
+        """Measured pressing force above which there is contact again [N]."""
+        return _HYSTERESIS * self.contact_lost_below
 
     @property
     def cycles(self) -> int:

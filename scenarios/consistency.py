@@ -4,6 +4,8 @@ import math
 from dataclasses import is_dataclass
 from typing import get_args
 
+from plant.tissue import contradiction
+from plant.viper import TOOL, VIPER_S650
 from qpmpc.config import INFINITE, Band, Interval, PerAxis, SoftBoundName
 from scenarios.config import AxesChange, Scenario, SetpointConfig
 from scenarios.errors import ScenarioKeyError
@@ -18,6 +20,12 @@ def check_consistent(scenario: Scenario, source: str) -> None:
         ScenarioKeyError: they do not.
     """
     _check_bounds(scenario, source)
+    if scenario.controller.observer.disturbance == "beats" and scenario.motion.file is not None:
+        raise ScenarioKeyError(
+            source,
+            "controller.observer.disturbance",
+            "'beats' needs R peaks, and motion.file has none; take 'tracked'",
+        )
     moves, horizon = scenario.controller.control_horizon, scenario.controller.horizon
     if moves is not None and moves > horizon:
         raise ScenarioKeyError(
@@ -51,9 +59,42 @@ def check_consistent(scenario: Scenario, source: str) -> None:
             raise ScenarioKeyError(source, place, "must be in the order of their times")
     _check_protection(scenario, source)
     _check_one_setpoint(scenario, source)
+    _check_imperfections(scenario, source)
+    _check_contact(scenario, source)
+    _check_approach(scenario, source)
+
+
+def _check_contact(scenario: Scenario, source: str) -> None:
+    """Check that the contact law has what it is given, and the beats that it follows."""
     contact = scenario.cell.contact
-    if contact.gap > 0 and not contact.unilateral:
-        raise ScenarioKeyError(source, "cell.contact.gap", "needs cell.contact.unilateral = true")
+    found = contradiction(contact)
+    if found is not None:
+        raise ScenarioKeyError(source, f"cell.contact.{found[0]}", found[1])
+    if contact.systolic_stiffening > 0 and scenario.motion.file is not None:
+        raise ScenarioKeyError(
+            source,
+            "cell.contact.systolic_stiffening",
+            "motion.file tells no beats; motion.beats or a generated motion does",
+        )
+
+
+def _check_approach(scenario: Scenario, source: str) -> None:
+    """Check that the sensor can tell the pressing force that is wished for from none."""
+    setpoint, least = scenario.setpoint, scenario.contact_found_above
+    if not scenario.cell.contact.unilateral or not scenario.approach.enabled:
+        return
+    if "z" not in scenario.axes or setpoint.file is not None:
+        return
+    wished = [("setpoint.z", setpoint.z)]
+    wished += [(f"setpoint.steps.{i}.z", step.z or 0.0) for i, step in enumerate(setpoint.steps)]
+    for place, z in wished:
+        if 0.0 < -z <= least:
+            raise ScenarioKeyError(
+                source,
+                place,
+                f"presses with {-z:g} N; contact is found above {least:.3g} N (twice "
+                "approach.threshold): press harder, lower that, or set approach.enabled = false",
+            )
 
 
 def _check_one_setpoint(scenario: Scenario, source: str) -> None:
@@ -71,6 +112,27 @@ def _check_one_setpoint(scenario: Scenario, source: str) -> None:
     for axis in scenario.axes:
         if getattr(setpoint, axis) != getattr(default, axis):
             raise ScenarioKeyError(source, f"setpoint.{axis}", "no effect beside setpoint.file")
+
+
+def _check_imperfections(scenario: Scenario, source: str) -> None:
+    """Check that what is wrong with the tool fits the tool there is."""
+    flaws, place = scenario.cell.imperfections, "cell.imperfections"
+    if scenario.cell.arm is not None:
+        return  # told when the arm is read
+    links, carried = len(VIPER_S650.link_mass.si) - 1, float(TOOL.effector.mass.si)
+    if isinstance(flaws.inertia_error, tuple) and len(flaws.inertia_error) != links + 1:
+        raise ScenarioKeyError(
+            source,
+            f"{place}.inertia_error",
+            f"must be one value, or {links + 1}: one for each link and one for what the flange "
+            f"carries, got {len(flaws.inertia_error)}",
+        )
+    if flaws.tip_mass > carried:
+        raise ScenarioKeyError(
+            source,
+            f"{place}.tip_mass",
+            f"{flaws.tip_mass:g} kg exceed the instrument's {carried:g} kg",
+        )
 
 
 def band(value: Band | AxesChange, axis: str) -> Interval:

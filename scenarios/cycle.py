@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from plant.interface import JointPlant, Measurement, Plant
 from qpmpc.protocol import ForceControl
 from qpmpc.step import Step
+from scenarios.approach import Recovery
 from scenarios.errors import ScenarioError
 from scenarios.live import LiveSetpoint
 from scenarios.schedule import Schedule
@@ -26,18 +27,24 @@ class ControlCycle:
         controller: ForceControl,
         setpoint: Setpoint | LiveSetpoint,
         schedule: Schedule,
+        recovery: Recovery | None = None,
+        *,
+        beats: NDArray[np.bool_] | None = None,
     ) -> None:
         """Join them.
 
         Args:
             plant: asked about its joints where these are bounded; not measured, not moved.
             controller, setpoint, schedule: see there.
+            recovery: what looks after the contact, where it can be lost.
+            beats: in which cycles an R peak is told, ``(cycles,)``; none if not given.
 
         Raises:
             ScenarioError: joints are bounded, and the plant tells nothing about them.
         """
         self.controller = controller
-        self._setpoint, self._schedule = setpoint, schedule
+        self._setpoint, self._schedule, self._beats = setpoint, schedule, beats
+        self.recovery = recovery
         every = controller.axes == tuple(_AXIS)
         self._index = slice(None) if every else np.array([_AXIS[a] for a in controller.axes])
         self._joints = None
@@ -51,7 +58,9 @@ class ControlCycle:
         """Command of the last cycle, ``(3,)`` [m/s^2]; 0 on axes that are not controlled."""
 
     def decide(self, k: int, measurement: Measurement, deadline: float | None = None) -> Step:
-        """Decide the command of cycle ``k``.
+        """Decide the command of cycle ``k``, which is in `command` then.
+
+        Off the tissue it may be another than the step's, see `scenarios.approach`.
 
         Args:
             k: counted from the start of the run.
@@ -64,13 +73,27 @@ class ControlCycle:
         if schedule.due[k]:
             for name in schedule.moving:
                 controller.move(name, *schedule.preview(name, k))
+        if self._beats is not None and self._beats[k]:
+            controller.beat()
         if self._joints is not None:
             controller.view(self._joints.joint_space(measurement.force, self.command))
+        preview, force = self._setpoint.preview(k), measurement.force[index]
+        recovery = self.recovery
+        if recovery is not None:
+            force = recovery.measured(k, measurement, force, preview[0], controller)
         step = controller.step(
-            measurement.force[index],
+            force,
             measurement.velocity[index],
-            self._setpoint.preview(k),
+            preview,
             deadline=None if due is None else due - perf_counter(),
         )
-        self.command[index] = step.command
+        applied = step.command
+        if recovery is not None:
+            applied = recovery.command(k, applied, self.command[index], controller)
+        self.command[index] = applied
         return step
+
+    @property
+    def applied(self) -> Array:
+        """Command of the last cycle on the controlled axes, ``(n_axes,)`` [m/s^2]."""
+        return self.command[self._index]

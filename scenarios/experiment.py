@@ -9,18 +9,20 @@ from numpy.typing import NDArray
 
 from plant.cell import Cell, heart_programme
 from plant.errors import UnstableSimulationError
+from plant.own_arm import tool_arm
 from qpmpc.backends import Fact, backend_class
 from qpmpc.controller import Compilation
 from qpmpc.force_control import ForceController
 from qpmpc.kinds import controller_kind, controllers
 from qpmpc.protocol import ForceControl
+from scenarios.approach import recovery
 from scenarios.config import Scenario
 from scenarios.consistency import band
 from scenarios.errors import ScenarioError
 from scenarios.live import LiveSetpoint
 from scenarios.log import Log
 from scenarios.loop import Pace, Stop, Watch, control_loop, watch_loop
-from scenarios.motion import load_motion
+from scenarios.motion import Motion, load_motion
 from scenarios.motion.config import AXES
 from scenarios.physics import physics_loop
 from scenarios.schedule import Schedule
@@ -42,6 +44,8 @@ class Assembly:
     schedule: Schedule
     controller: ForceControl
     log: Log
+    beats: NDArray[np.bool_]
+    """In which cycles an ECG tells an R peak, ``(cycles,)``."""
     another_cell: Callable[[], Cell]
     """Makes a cell of the same motion, as `cell` was at the start."""
 
@@ -82,11 +86,12 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     controller_kind(scenario.controller.kind)  # what is not there is told before anything is done
     backend_class(scenario.backend)
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
+    tool = tool_arm(scenario.cell)
     setpoint = _setpoint(scenario)
     schedule = Schedule(scenario)
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
-    library = physics_loop().library
+    library = physics_loop(tool.joints).library
 
     def another_cell() -> Cell:
         return Cell(
@@ -97,20 +102,33 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
             axes=scenario.axes,
             heart=heart,
             library=library,
+            tool=tool,
+            contraction=motion.contraction,
         )
 
     cell = another_cell()
     controller = make_controller(scenario, cell, setpoint, schedule)
-    log = Log(cycles, scenario.axes, tuple(controller.rows))
-    return Assembly(cell, setpoint, schedule, controller, log, another_cell)
+    log = Log(cycles, scenario.axes, tuple(controller.rows), cell.joints)
+    return Assembly(
+        cell, setpoint, schedule, controller, log, told_beats(motion, cycles), another_cell
+    )
 
 
-def hold_still(cell: Cell, scenario: Scenario, setpoint: Setpoint | LiveSetpoint) -> None:
+def told_beats(motion: Motion, cycles: int) -> NDArray[np.bool_]:
+    """Return in which cycles an R peak is known that was not in the one before, ``(cycles,)``."""
+    told = np.zeros(cycles, dtype=np.bool_)
+    cycle = np.ceil(motion.beats / motion.period - 1e-9).astype(np.int64)
+    told[cycle[cycle < cycles]] = True
+    return told
+
+
+def hold_still(cell: Cell, setpoint: Setpoint | LiveSetpoint) -> None:
     """Close the brakes where the force would be the setpoint at the start in the tissue's middle.
 
-    The middle is that of its motion: no other place gives less force error.
+    The middle is that of its motion: no other place gives less force error, as long as the force
+    is proportional to the way.
     """
-    cell.move_tool(setpoint.start / scenario.cell.contact.stiffness)
+    cell.move_tool(cell.rest(setpoint.start))
     cell.close_brakes()
 
 
@@ -190,9 +208,12 @@ def run_experiment(
                 f"controller.kind: {scenario.controller.kind} solves no QP to watch"
             )
         watch = shadow(made.controller)
+    looking_after = recovery(scenario, made.schedule)
+    if looking_after is not None:
+        log.contact_events = looking_after.watch.events
     if held is None:
         still = made.another_cell()
-        hold_still(still, scenario, made.setpoint)
+        hold_still(still, made.setpoint)
     ready = perf_counter()
     controlled, stopped = None, None
     try:
@@ -203,6 +224,8 @@ def run_experiment(
             log,
             cycles,
             schedule=made.schedule,
+            recovery=looking_after,
+            beats=made.beats,
             watch=watch,
             pace=pace,
             progress=lambda done, total: report("compensated", done, total),

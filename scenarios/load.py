@@ -5,9 +5,10 @@ import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import reduce
 from importlib import resources
 from pathlib import Path
-from types import UnionType
+from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints
 
 import tomli_w
@@ -24,8 +25,8 @@ Table = dict[str, Any]
 _AXES = ("x", "y", "z")
 _NO_BOUNDS = ("margin", "friction", "largest_error", "time")
 """Keys beside the bounds that must be finite."""
-_FILES = {"motion": ("file", "beats"), "setpoint": ("file",)}
-"""Keys of each table that name a file, relative to the scenario's own place."""
+_FILES = ("motion.file", "motion.beats", "setpoint.file", "cell.arm.file")
+"""Keys that name a file, relative to the scenario's own place."""
 
 
 def shipped() -> dict[str, Path]:
@@ -61,11 +62,7 @@ def load_scenario(
     table = _read(path)
     _check_keys(table, Scenario, path.name)
     table.setdefault("name", path.stem)
-    for part, names in _FILES.items():
-        for key in names:
-            named = table.get(part, {})
-            if isinstance(named.get(key), str):
-                named[key] = str((path.parent / named[key]).resolve())
+    _find_files(table, path.parent)
     moved = table.get("motion", {})
     if motion is not None and beats is not None:
         raise ScenarioError(
@@ -161,6 +158,17 @@ def _read(path: Path) -> Table:
         raise ScenarioError(f"{path}: not TOML: {error}") from None
 
 
+def _find_files(table: Table, folder: Path) -> None:
+    """Make the names of files in a table absolute, relative ones from ``folder`` on."""
+    for place in _FILES:
+        *parts, key = place.split(".")
+        named: Any = table
+        for part in parts:
+            named = named.get(part) if isinstance(named, dict) else None
+        if isinstance(named, dict) and isinstance(named.get(key), str):
+            named[key] = str((folder / named[key]).resolve())
+
+
 def _apply_setting(table: Table, text: str) -> str:
     """Set one key; return its dotted path."""
     key, separator, value = text.partition("=")
@@ -175,6 +183,8 @@ def _apply_setting(table: Table, text: str) -> str:
     for part in reversed(parts):
         nested = {part: nested}
     _check_keys(nested, Scenario, "--set")
+    _find_files(nested, Path())
+    parsed = reduce(lambda inner, part: inner[part], parts, nested)
     target = table
     for part in parts[:-1]:
         target = target.setdefault(part, {})
@@ -198,8 +208,7 @@ def _check_keys(table: Any, kind: Any, source: str, path: tuple[str, ...] = ()) 
             raise ScenarioKeyError(
                 source, ".".join((*path, key)), f"unknown key{nearest(key, names)}"
             )
-        alone = is_dataclass(get_type_hints(kind)[key])
-        if alone and not isinstance(value, dict):
+        if _always_record(get_type_hints(kind)[key]) and not isinstance(value, dict):
             raise ScenarioKeyError(source, ".".join((*path, key)), "must be a table of keys")
         _check_keys(value, hints[key], source, (*path, key))
 
@@ -209,6 +218,12 @@ def _record(kind: Any) -> Any:
     if isinstance(kind, UnionType):
         return next((k for k in get_args(kind) if is_dataclass(k)), kind)
     return kind
+
+
+def _always_record(kind: Any) -> bool:
+    """Whether a key's value can only be a table: of a record, or of one that may be left out."""
+    kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+    return all(is_dataclass(k) or k is NoneType for k in kinds)
 
 
 def _element(kind: Any) -> Any:
@@ -235,7 +250,8 @@ def _check_finite(value: Any, source: str, path: tuple[str, ...]) -> None:
 def _dotted(location: tuple[int | str, ...]) -> str:
     # Where a key has alternatives, the location names the alternative: a type, not a key.
     parts = [str(part) for part in location]
-    return ".".join(p for p in parts if "[" not in p and not p[:1].isupper()) or "(file)"
+    keys = [p for p in parts if "[" not in p and not p[:1].isupper() and not p.endswith("float")]
+    return ".".join(keys) or "(file)"
 
 
 def _reason(error: Any) -> str:

@@ -12,6 +12,7 @@ from plant.interface import Cause, Measurement, Trip, Truth
 from qpmpc.fallback import Source
 from qpmpc.status import Status
 from qpmpc.step import Step
+from scenarios.approach import ContactEvent, ContactState
 from scenarios.live import Source as SetpointSource
 from scenarios.motion import Axis
 
@@ -22,13 +23,16 @@ _CODES = {status: code for code, status in enumerate(_STATUSES)}
 _SOURCES = tuple(Source)
 _SETPOINT_SOURCES = tuple(source.name.lower() for source in SetpointSource)
 _SOURCE_CODES = {source: code for code, source in enumerate(_SOURCES)}
+_CONTACTS = tuple(state.name.lower() for state in ContactState)
 _TRIPS = ("none", *Cause)
 
 
 class Log:
     """What happened in each cycle. Columns are time-major arrays of the length of the run."""
 
-    def __init__(self, cycles: int, axes: Sequence[Axis], bounds: Sequence[str]) -> None:
+    def __init__(
+        self, cycles: int, axes: Sequence[Axis], bounds: Sequence[str], joints: int = 6
+    ) -> None:
         """Make room for ``cycles`` rows.
 
         Args:
@@ -36,6 +40,7 @@ class Log:
             axes: axes under force control.
             bounds: names of the bounds whose worst violation by the plan is recorded, all that
                 have rows, in the order of the rows.
+            joints: of the tool.
         """
         n = len(axes)
         self.axes, self.cycles = tuple(axes), 0
@@ -52,9 +57,13 @@ class Log:
         self.tool = np.zeros((cycles, 3))
         self.tool_velocity = np.zeros((cycles, 3))
         self.command = np.zeros((cycles, n))
-        self.torque = np.zeros((cycles, 6))
-        self.joint_velocity = np.zeros((cycles, 6))
+        self.torque = np.zeros((cycles, joints))
+        self.joint_velocity = np.zeros((cycles, joints))
+        self.joint_angle = np.zeros((cycles, 6 + joints), dtype=np.float32)
         self.touching = np.zeros(cycles, dtype=bool)
+        self.contact = np.zeros(cycles, dtype=np.int8)
+        self.contact_events: Sequence[ContactEvent] | None = None
+        """Times off the tissue; None where the contact cannot be lost."""
         self.trip: Trip | None = None
         self.tripped = np.zeros(cycles, dtype=bool)
         self.torque_saturated = np.zeros(cycles, dtype=bool)
@@ -80,10 +89,14 @@ class Log:
         saturated: bool,
         cycle_time: float,
         plant_time: float = 0.0,
+        command: Array | None = None,
+        contact: ContactState = ContactState.PRESSING,
     ) -> None:
         """Write the next row: the instant of ``measurement``, what was decided, what it took.
 
         ``cycle_time`` is the controller's share [s], ``plant_time`` that of the plant [s].
+        ``command`` is applied in place of the step's where it is given; ``contact``: what the
+        measured force tells of the contact.
         """
         k = self.cycles
         self.time[k] = measurement.time
@@ -95,10 +108,12 @@ class Log:
         self.tissue[k] = truth.tissue
         self.tool[k] = measurement.position
         self.tool_velocity[k] = measurement.velocity
-        self.command[k] = step.command
+        self.command[k] = step.command if command is None else command
         self.torque[k] = truth.torque
         self.joint_velocity[k] = truth.joint_velocity
+        self.joint_angle[k] = truth.joint_angle
         self.touching[k] = truth.touching
+        self.contact[k] = contact
         if truth.trip is not None:
             self.trip, self.tripped[k] = truth.trip, True
         self.torque_saturated[k] = truth.saturated
@@ -151,7 +166,7 @@ class Log:
             else:
                 columns.append((name, unit, pa.array(values[:end])))
 
-        joints = tuple(str(j + 1) for j in range(6))
+        joints = tuple(str(j + 1) for j in range(self.torque.shape[1]))
         add("time", "s", self.time)
         add("setpoint", "N", self.setpoint, self.axes)
         add("force", "N", self.force, _AXES)
@@ -165,6 +180,9 @@ class Log:
         add("command", "m/s^2", self.command, self.axes)
         add("torque", "N m", self.torque, joints)
         add("joint_velocity", "rad/s", self.joint_velocity, joints)
+        # For pictures: half a microradian, which four bytes give, is finer than any pixel.
+        add("heart_joint_angle", "rad", self.joint_angle[:, :6], "123456")
+        add("joint_angle", "rad", self.joint_angle[:, 6:], joints)
         add("touching", "1", self.touching)
         add("torque_saturated", "1", self.torque_saturated)
         add("command_saturated", "1", self.command_saturated)
@@ -175,6 +193,7 @@ class Log:
         for name, names, chosen in (
             ("status", _STATUSES, self.status),
             ("source", _SOURCES, self.source),
+            ("contact", _CONTACTS, self.contact),
             ("setpoint_source", _SETPOINT_SOURCES, self.setpoint_source),
             ("trip", _TRIPS, self.tripped * _TRIPS.index(self.trip.cause if self.trip else "none")),
         ):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from plant.interface import JointPlant, Plant
 from qpmpc.protocol import ForceControl
 from qpmpc.step import Step
+from scenarios.approach import ContactState, Recovery
 from scenarios.cycle import ControlCycle
 from scenarios.live import LiveSetpoint
 from scenarios.log import Log
@@ -39,6 +40,8 @@ def control_loop(
     cycles: int,
     *,
     schedule: Schedule,
+    recovery: Recovery | None = None,
+    beats: NDArray[np.bool_] | None = None,
     watch: Watch | None = None,
     pace: Pace | None = None,
     progress: Progress,
@@ -52,11 +55,13 @@ def control_loop(
         setpoint, log: see there.
         cycles: how many at most.
         schedule: of the bounds; a command on its bound counts as saturated.
+        recovery: what looks after a contact that can be lost.
+        beats: see `ControlCycle`.
         watch: shown every step, outside the clock.
         pace: see `Pace`; as fast as it goes if not given.
         progress, stop: see `Progress`, `Stop`.
     """
-    cycle = ControlCycle(plant, controller, setpoint, schedule)
+    cycle = ControlCycle(plant, controller, setpoint, schedule, recovery, beats=beats)
     low, high = (side.tolist() for side in schedule.first_command)
     with quiet_memory():
         for k in range(cycles):
@@ -73,7 +78,8 @@ def control_loop(
             applied = perf_counter()
             controller.prepare()
             cycle_time = decided - begin + perf_counter() - applied
-            u = step.command.tolist()
+            applied_command = cycle.applied
+            u = applied_command.tolist()
             saturated = any(
                 value <= least or value >= most
                 for value, least, most in zip(u, low, high, strict=True)
@@ -83,6 +89,8 @@ def control_loop(
                 plant.truth(),
                 step,
                 setpoint=setpoint.force[k],
+                command=applied_command,
+                contact=recovery.watch.state if recovery else ContactState.PRESSING,
                 saturated=saturated,
                 cycle_time=cycle_time,
                 plant_time=begin - woken + applied - decided,

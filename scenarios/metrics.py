@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qpmpc.kinds import controller_kind
+from scenarios.approach import touch_down_cap
+from scenarios.config import Scenario
 from scenarios.experiment import Experiment
 from scenarios.log import Log
 from scenarios.physics import physics_loop
@@ -38,6 +40,8 @@ _PACKAGES = (
 )  # fmt: skip
 _NOISE = 1e-6
 """Share of a bound by which rounding may pass it: no violation."""
+_AFTER_TOUCH = 0.1
+"""Time after a touch-down whose largest force counts as its peak [s]."""
 _ROUNDING = 1e-9
 """The same at a bound of zero, in its unit."""
 
@@ -76,6 +80,7 @@ def summarise(experiment: Experiment) -> Summary:
         "stopped": experiment.stopped,
         "trip": None if log.trip is None else {"cause": str(log.trip.cause), "time": log.trip.time},
         "counted": counted,
+        "contact_loss": contact_loss(scenario, log),
         "force_peak": float(log.force_peak[:end].max(initial=0.0)),
         "axes": axes,
         "paper": PAPER,
@@ -108,7 +113,7 @@ def summarise(experiment: Experiment) -> Summary:
         "violations": violations(log, experiment.schedule, period),
         "status": log.status_counts(),
         "source": log.source_counts(),
-        "physics": physics_loop().told,
+        "physics": physics_loop(experiment.log.torque.shape[1]).told,
         "live_setpoint": experiment.live,
         "compiled": asdict(experiment.compilation),
         "versions": versions(),
@@ -162,6 +167,55 @@ def violations(log: Log, schedule: Schedule, period: float) -> Summary:
     return result
 
 
+def contact_loss(scenario: Scenario, log: Log) -> Summary | None:
+    """How often and how long the tool was off the tissue, and how it came back.
+
+    By what the measured force told, see `scenarios.approach`; how the tool came back is what really
+    happened at the last touch before that: its speed and that at which the two met, along the
+    normal, and the largest force within the next tenth of a second, or until contact was lost
+    again. The cap is that of `scenarios.approach.touch_down_cap`. None where the contact cannot be
+    lost.
+    """
+    if log.contact_events is None:
+        return None
+    end, period, events = log.cycles, scenario.cell.period, []
+    for i, event in enumerate(log.contact_events):
+        found = event.found
+        entry: Summary = {
+            "lost": event.lost * period,
+            "found": None if found is None else found * period,
+            "duration": ((end if found is None else found) - event.lost) * period,
+            "at_start": event.lost == 0,
+            "meant": event.meant,
+            "speed": None,
+            "closing_speed": None,
+            "force_peak": None,
+        }
+        if found is not None:
+            off = np.flatnonzero(~log.touching[event.lost : found])
+            touch = min(found, event.lost + int(off[-1]) + 1) if off.size else found
+            before = max(touch - 1, 0)
+            until = min(end, touch + round(_AFTER_TOUCH / period))
+            if i + 1 < len(log.contact_events):
+                until = min(until, log.contact_events[i + 1].lost)
+            rise = float(log.tissue[touch, 2] - log.tissue[before, 2]) / period
+            speed = -float(log.tool_velocity[before, 2])
+            entry["speed"], entry["closing_speed"] = speed, speed + rise
+            entry["force_peak"] = float(log.force_peak[touch : until + 1].max(initial=0.0))
+        events.append(entry)
+    unmeant = [e for e in events if not e["at_start"] and not e["meant"]]
+    return {
+        "count": len(unmeant),
+        "time": float(sum(e["duration"] for e in unmeant)),
+        "speed": max((e["speed"] for e in events if e["speed"] is not None), default=None),
+        "force_peak": max(
+            (e["force_peak"] for e in events if e["found"] is not None), default=None
+        ),
+        "touch_down_cap": touch_down_cap(scenario, _largest_speed(log.tissue[:end, 2], period)),
+        "events": events,
+    }
+
+
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that the figures depend on."""
     found = {"python": platform.python_version()}
@@ -171,6 +225,10 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def _largest_speed(place: Array, period: float) -> float:
+    return float(np.abs(np.diff(place)).max(initial=0.0)) / period
 
 
 def _rms(values: Array) -> float | None:

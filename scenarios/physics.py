@@ -20,10 +20,10 @@ class PhysicsLoop:
 
 
 @cache
-def physics_loop() -> PhysicsLoop:
-    """Compile the loop, or find it compiled before; once in a process."""
+def physics_loop(joints: int) -> PhysicsLoop:
+    """Compile the loop for a tool with this many joints, or find it compiled; once in a process."""
     try:
-        built = compile_library(source_text(), name="physics", flags=FLAGS)
+        built = compile_library(source_text(joints), name="physics", flags=FLAGS)
     except QpmpcError as error:
         return PhysicsLoop(None, f"python ({error})")
     return PhysicsLoop(built.handle, "compiled")

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from plant.arm_file import self_contained
 from scenarios.config import Scenario
 from scenarios.errors import ScenarioError
 from scenarios.experiment import Experiment
@@ -61,8 +62,8 @@ def write_run(experiment: Experiment, summary: Summary, folder: Path) -> None:
 def write_config(scenario: Scenario, folder: Path) -> None:
     """Write ``config.toml`` into ``folder``.
 
-    Files that motion and setpoint came from are copied, so that the folder alone repeats the run:
-    ``pulsempc run FOLDER/config.toml``.
+    Files that motion, setpoint and arm came from are copied, so that the folder alone repeats the
+    run: ``pulsempc run FOLDER/config.toml``.
     """
     for key in ("file", "beats"):
         source = getattr(scenario.motion, key)
@@ -73,6 +74,12 @@ def write_config(scenario: Scenario, folder: Path) -> None:
     if scenario.setpoint.file is not None:
         shutil.copyfile(scenario.setpoint.file, folder / "setpoint.csv")
         scenario = replace(scenario, setpoint=replace(scenario.setpoint, file="setpoint.csv"))
+    arm = scenario.cell.arm
+    if arm is not None:
+        name = f"arm{Path(arm.file).suffix}"
+        (folder / name).write_text(self_contained(Path(arm.file)), encoding="utf-8")
+        cell = replace(scenario.cell, arm=replace(arm, file=name))
+        scenario = replace(scenario, cell=cell)
     (folder / "config.toml").write_text(dump_scenario(scenario), encoding="utf-8")
 
 

@@ -1,18 +1,20 @@
 """What verbs that run an experiment have in common."""
 
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
+from bench.report import write_report
 from qpmpc.controller import Compiled
 from qpmpc.kinds import controller_kind
-from scenarios import Scenario, load_scenario
+from scenarios import Scenario, ScenarioError, load_scenario
 
 FAILED = 1
 
 
-class Asked(Protocol):
-    """The options that say which experiment is meant."""
+class Options(Protocol):
+    """The options that change a scenario."""
 
     @property
     def motion(self) -> Path | None: ...
@@ -28,8 +30,25 @@ class Asked(Protocol):
     def set(self) -> tuple[str, ...]: ...
 
 
+class Asked(Options, Protocol):
+    """The options that say which experiment is meant."""
+
+    @property
+    def scenario(self) -> str: ...
+
+
 def load(
     asked: Asked,
+    *,
+    compiled: Compiled | None = None,
+    controller: str | None = None,
+    **top: str | None,
+) -> Scenario:
+    return load_named(asked, asked.scenario, compiled=compiled, controller=controller, **top)
+
+
+def load_named(
+    asked: Options,
     name: str,
     *,
     compiled: Compiled | None = None,
@@ -49,6 +68,14 @@ def load(
         setpoint=asked.setpoint,
         settings=(*asked.set, *chosen),
     )
+
+
+def report(folder: Path) -> None:
+    """Write the report of results into their folder; they are worth more than it."""
+    try:
+        write_report([folder], folder / "report.html")
+    except ScenarioError as error:
+        print(f"pulsempc: no report: {error}", file=sys.stderr)
 
 
 def now() -> str:

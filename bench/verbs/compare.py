@@ -17,7 +17,7 @@ from bench.contest_report import contest_lines, contest_tables, draw_contest
 from bench.figures import draw_comparison
 from bench.progress import Reporter, ctrl_c
 from bench.table import comparison_lines, comparison_tables
-from bench.verbs._asked import FAILED, load, now
+from bench.verbs._asked import FAILED, load_named, now, report
 from qpmpc.backends import backend_class
 from qpmpc.controller import Compiled
 from qpmpc.kinds import controller_kind
@@ -104,6 +104,8 @@ class Compare:
             text = to_json(comparison.summary())
             (partial / "compare.json").write_text(text, encoding="utf-8")
             draw_comparison(comparison, partial / "comparison.png")
+        if any(comparison.experiments):
+            report(folder)
         tables, lines = comparison_tables(comparison.rows), comparison_lines(comparison.rows)
         self._show(text, tables, lines, folder)
         if comparison.whole and len(comparison.rows) == len(names):
@@ -154,7 +156,7 @@ class Compare:
         return INTERRUPTED if interrupt.pressed else FAILED
 
     def _load(self, name: str) -> Scenario:
-        scenario = load(self, name, compiled=self.compiled)
+        scenario = load_named(self, name, compiled=self.compiled)
         if scenario.setpoint.live is not None:
             raise ScenarioError("setpoint.live: is another one in every run, nothing to compare by")
         return scenario

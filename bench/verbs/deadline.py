@@ -17,6 +17,7 @@ from bench.deadline_report import deadline_tables, draw, machine_lines, summary,
 from bench.machine import Facts, machine
 from bench.progress import Reporter, ctrl_c
 from bench.realtime import Measures, SkippingClock, SystemClock, real_time
+from bench.verbs._asked import report
 from qpmpc.backends import available, backend_class
 from scenarios import ScenarioError, dump_scenario, load_scenario
 from scenarios.loop import quiet_memory
@@ -125,6 +126,7 @@ class Deadline:
             (partial / "config.toml").write_text(dump_scenario(race.scenario), encoding="utf-8")
             write_histograms(race, partial, start=started, seconds=seconds)
             draw(race, told, partial / "percentiles.png")
+        report(folder)
         if self.json:
             sys.stdout.write(text)
         else:

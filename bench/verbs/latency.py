@@ -17,7 +17,7 @@ from bench.latency.session import run_session
 from bench.latency.table import latency_lines, latency_tables
 from bench.progress import Reporter, ctrl_c
 from bench.realtime import SystemClock
-from bench.verbs._asked import FAILED, load, now
+from bench.verbs._asked import FAILED, load, now, report
 from plant.errors import UnstableSimulationError
 from qpmpc.backends import available, backend_class
 from scenarios import Scenario, ScenarioError, ScenarioKeyError
@@ -114,6 +114,7 @@ class Latency:
         except UnstableSimulationError as error:
             print(f"pulsempc: {error}; nothing was written", file=sys.stderr)
             return FAILED
+        report(folder)
         if self.json:
             sys.stdout.write(text)
         else:
@@ -167,7 +168,7 @@ class Latency:
         """Return the scenario with each set of axes."""
         length: tuple[str, ...] = ()
         if self.cycles is not None:
-            length = (f"duration={self.cycles * load(self, self.scenario).cell.period!r}",)
+            length = (f"duration={self.cycles * load(self).cell.period!r}",)
             self._with(f"--cycles {self.cycles}, in seconds", "duration", *length)
         found = [
             self._with(f"--axes {','.join(axes)}", "axes", *length, f"axes={json.dumps(axes)}")
@@ -180,7 +181,7 @@ class Latency:
     def _horizons(self) -> list[int]:
         """Return the horizons, each checked against the scenario's other keys."""
         if self.horizon is None:
-            return [load(self, self.scenario).controller.horizon]
+            return [load(self).controller.horizon]
         found = []
         for text in _list("--horizon", self.horizon):
             if not text.isascii() or not text.isdecimal():
@@ -193,7 +194,7 @@ class Latency:
     def _with(self, option: str, key: str, *settings: str) -> Scenario:
         """Load with more settings; what is wrong with ``key`` is the option's fault."""
         try:
-            return load(replace(self, set=(*self.set, *settings)), self.scenario)
+            return load(replace(self, set=(*self.set, *settings)))
         except ScenarioKeyError as error:
             if error.key == key or error.key.startswith(f"{key}."):
                 raise ScenarioError(f"{option}: {error.reason}") from None

@@ -13,7 +13,7 @@ from bench.figures import draw_forces
 from bench.pace import by_the_clock
 from bench.progress import Reporter, ctrl_c
 from bench.table import force_table, timing_lines, trip_line
-from bench.verbs._asked import FAILED, load, now
+from bench.verbs._asked import FAILED, load, now, report
 from qpmpc.backends import backend_class
 from qpmpc.controller import Compiled
 from scenarios import run_experiment, summarise
@@ -60,7 +60,6 @@ class Run:
         """Simulate, write, show; return the exit code."""
         scenario = load(
             self,
-            self.scenario,
             backend=self.backend,
             compiled=self.compiled,
             controller=self.controller,
@@ -84,6 +83,7 @@ class Run:
             summary = summarise(experiment)
             write_run(experiment, summary, partial)
             draw_forces(experiment.log, partial / "forces.png")
+        report(folder)
         if self.json:
             sys.stdout.write(to_json(summary))
         else:

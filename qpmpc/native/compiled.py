@@ -45,6 +45,8 @@ class Code(IntEnum):
     """The answer did not pass the check."""
     TOO_LATE = 6
     """The answer was not there by the deadline."""
+    NOT_STEADY = 7
+    """The observer's gain is not that of the steady state, or its gate refuses a row."""
 
 
 def unfit(form: CompiledForm | None, problem: Problem, scaling: Scaling) -> str | None:
@@ -139,6 +141,7 @@ class CompiledStep:
             self.measurement, self.preview, reference.decay,
             present.lower, present.upper, present.low, present.high, present.fall, present.rise,
             self._remaining,
+            whole.observer.gate, whole.observer.missing, whole.observer.settled,
             whole.observer.state, command,
             problem.free, problem.q, problem.l, problem.u,
             fallback.plan, fallback.cursor, prepared, self.values, self.counts,

@@ -109,6 +109,7 @@ class ActiveObserverLaw:
         self._compensation = compensation(model.velocity_damping, later)
         self._way, self._velocity, self._work = np.zeros((3, n_axes))
         self._motion_share, self._wished = np.zeros((1, n_axes)), np.zeros((1, n_axes))
+        self._adopted = False
         for observer in (self._force, self._motion):
             observer.start(n_axes)
 
@@ -125,6 +126,7 @@ class ActiveObserverLaw:
         self._force.state[0] = force
         np.divide(force, self._stiffness, out=self._way)  # so that the tissue begins at 0
         self._velocity[:] = 0.0
+        self._adopted = False
 
     def decide(self, force: Array, velocity: Array, setpoint: Array, known: Mask) -> Array:
         """See `Law.decide`."""
@@ -132,6 +134,10 @@ class ActiveObserverLaw:
         work *= self._period / 2
         self._way += work
         self._velocity[:] = velocity
+        if self._adopted:  # the tissue has not moved because another force counts
+            np.divide(force, self._stiffness, out=self._way)
+            self._way += self._motion.state[0]
+            self._adopted = False
         np.divide(force, -self._stiffness, out=work)
         work += self._way
         self._motion.correct(work, known)
@@ -149,6 +155,11 @@ class ActiveObserverLaw:
         self._force.predict(self._work)
         self._work[:] = 0.0
         self._motion.predict(self._work)
+
+    def adopt(self, force: Array) -> None:
+        """See `Law.adopt`."""
+        self._force.state[0] = force
+        self._adopted = True
 
 
 def compensation(damping: float, later: float) -> Array:

@@ -48,6 +48,10 @@ class Law(Protocol):
         """Take note of the command that was applied, ``(n_axes,)`` [m/s^2]."""
         ...
 
+    def adopt(self, force: Array) -> None:
+        """Let another force count from now on, ``(n_axes,)`` [N]: no jump from the one before."""
+        ...
+
 
 class LawController:
     """A controller of the contact force that follows a `Law`; see `qpmpc.protocol.ForceControl`.
@@ -159,6 +163,17 @@ class LawController:
         if not self._prepared:
             self._law.settle(self._command)
             self._prepared = True
+
+    def beat(self) -> None:
+        """Let the R peak be: no law looks at them."""
+
+    def adopt(self, *, command: Array | None = None, force: Array | None = None) -> None:
+        """Go on from what is so in place of what was decided; see `ForceControl.adopt`."""
+        if command is not None:
+            self._command[:] = command
+        if force is not None:
+            self._force[:] = force
+            self._law.adopt(self._force)
 
     def limits(self) -> tuple[Array, Array]:
         """Return what the next command may be by command and rate bounds together."""

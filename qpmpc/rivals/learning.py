@@ -82,6 +82,10 @@ class LearningLaw:
         """See `Law.settle`."""
         self._pi.settle(np.subtract(command, self._learned, out=self._wished))
 
+    def adopt(self, force: Array) -> None:
+        """See `Law.adopt`."""
+        self._pi.adopt(force)
+
 
 class Memory:
     """What was added to the command, and the error that was left, over a period and a little more.

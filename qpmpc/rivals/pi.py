@@ -85,3 +85,7 @@ class PiLaw:
         np.subtract(self._wished, command, out=self._work)
         self._work *= self._gain
         np.subtract(self._sum, self._gain, out=self._sum, where=self._work > 0.0)
+
+    def adopt(self, force: Array) -> None:
+        """See `Law.adopt`."""
+        self._last[:] = force

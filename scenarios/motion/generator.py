@@ -11,6 +11,7 @@ from scenarios.errors import DataTooShortError
 from scenarios.motion.beats import BeatSeries, draw_beats, read_beats
 from scenarios.motion.breath import breath_wave, draw_breath
 from scenarios.motion.config import AXES, Axis, MotionConfig
+from scenarios.motion.contraction import contraction
 from scenarios.motion.errors import UnreachableForceError
 from scenarios.motion.pulses import SHAPES, Train, lay_lobes, sum_lobes
 from scenarios.motion.record import Array, Motion, control_instants
@@ -75,7 +76,13 @@ def generate(config: MotionConfig, duration: float, period: float, seed: int) ->
         samples[:, :, i] *= scale
     position, velocity, acceleration = samples
     return Motion(
-        period, time, position, velocity, acceleration, beats.times[beats.times < duration]
+        period,
+        time,
+        position,
+        velocity,
+        acceleration,
+        beats.times[beats.times < duration],
+        contraction(beats, time),
     )
 
 

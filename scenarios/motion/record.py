@@ -34,3 +34,6 @@ class Motion:
     """Its second derivative [m/s^2], (n, 3)."""
     beats: Array
     """Times of the heart beats (R peaks) within the run [s], (m,); empty for a recording."""
+    contraction: Array | None = None
+    """How far the heart is contracted, from 0 (diastole) to 1 (height of systole), (n,); None for a
+    recording, which tells no beats."""

@@ -18,7 +18,7 @@ from qpmpc.backends import _registry, available
 from qpmpc.backends.daqp import DaqpBackend
 from scenarios import shipped
 
-FILES = ["config.toml", "forces.png", "log.parquet", "summary.json"]
+FILES = ["config.toml", "forces.png", "log.parquet", "report.html", "summary.json"]
 SHORT = ("--duration", "0.05")
 
 

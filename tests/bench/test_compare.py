@@ -98,7 +98,7 @@ def test_the_folder_holds_table_picture_and_a_folder_a_run(compared):
     folder, _ = compared
     beats = ["beats.csv", *RUN]
     assert sorted(p.name for p in folder.iterdir()) == [
-        "analytic", "compare.json", "comparison.png", "daqp", "osqp",
+        "analytic", "compare.json", "comparison.png", "daqp", "osqp", "report.html",
     ]  # fmt: skip
     assert all(
         sorted(p.name for p in (folder / name).iterdir()) == beats
@@ -239,7 +239,7 @@ def test_a_backend_that_refuses_becomes_a_row_and_the_others_run(shown, leave, t
     assert "has no limit of time" in found[refusing]["error"]
     assert found["daqp"]["status"] == {"solved": 30}
     assert sorted(p.name for p in (tmp_path / "c").iterdir()) == [
-        "compare.json", "comparison.png", "daqp",
+        "compare.json", "comparison.png", "daqp", "report.html",
     ]  # fmt: skip
     if shown:
         assert out == (tmp_path / "c" / "compare.json").read_text()
@@ -333,7 +333,7 @@ def test_ctrl_c_leaves_what_is_done(interrupted):
     folder = interrupted[0] / "c"
     assert [p.name for p in interrupted[0].iterdir()] == ["c"]
     assert sorted(p.name for p in folder.iterdir()) == [
-        "analytic", "compare.json", "comparison.png", "daqp",
+        "analytic", "compare.json", "comparison.png", "daqp", "report.html",
     ]  # fmt: skip
     found = rows((folder / "compare.json").read_text())
     assert list(found) == ["analytic", "daqp"]

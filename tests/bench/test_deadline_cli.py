@@ -15,8 +15,8 @@ from hdrh.log import HistogramLogReader
 
 SHORT = ("bench", "deadline", "paper", "--cycles", "150", "--backends", "analytic,daqp")
 FILES = {
-    "config.toml", "deadline.json", "percentiles.png", "response.hlog", "response-analytic.hgrm",
-    "response-daqp.hgrm", "response-empty.hgrm", "response-plant.hgrm",
+    "config.toml", "deadline.json", "percentiles.png", "report.html", "response.hlog",
+    "response-analytic.hgrm", "response-daqp.hgrm", "response-empty.hgrm", "response-plant.hgrm",
 }  # fmt: skip
 
 UNPRIVILEGED = """

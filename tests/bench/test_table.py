@@ -151,6 +151,7 @@ def summary(**changes):
         "source": SOLVED,
         "compiled": {"used": True, "reason": None, "interpreted_cycles": 0},
         "live_setpoint": None,
+        "contact_loss": None,
         "violations": {name: {"count": 0, "worst": 0.0, "integral": 0.0} for name in BEYOND},
     } | changes
 

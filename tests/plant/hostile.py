@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -12,7 +12,8 @@ import numpy as np
 
 from plant import Cell, CellConfig, ContactConfig, ImperfectionConfig, Trip, force_cap
 from plant.cell import heart_programme
-from plant.viper import VIPER_S650
+from plant.config import ArmConfig
+from plant.own_arm import tool_arm
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Controller = Callable[[int, Any], Array | None]
@@ -170,6 +171,28 @@ def some_config(rng: np.random.Generator) -> CellConfig:
     )
 
 
+def flawed_config(rng: np.random.Generator) -> CellConfig:
+    """Some cell, and every imperfection that there is, each in half of them."""
+    config = some_config(rng)
+
+    def now_and_then(low: float, high: float, otherwise: float = 0.0) -> float:
+        return float(rng.uniform(low, high)) if rng.random() < 0.5 else otherwise
+
+    flaws = replace(
+        config.imperfections,
+        inertia_error=tuple(rng.uniform(-0.3, 0.4, 7).tolist()),
+        stribeck=now_and_then(0.0, 0.5),
+        torque_limit=now_and_then(0.5, 1.0, 1.0),
+        joint_frequency=now_and_then(12.0, 60.0),
+        joint_damping=float(rng.uniform(0.02, 0.1)),
+        encoder_resolution=now_and_then(1e-7, 1e-5),
+        velocity_filter=now_and_then(0.0, 0.002),
+        delay_jitter=now_and_then(0.0, 0.3),
+        tip_mass=now_and_then(0.0, 0.05),
+    )
+    return replace(config, imperfections=flaws)
+
+
 @dataclass
 class Worst:
     """What came nearest to breaking a promise, over many sequences."""
@@ -185,8 +208,16 @@ class Worst:
 class Ring:
     """One cell in which controllers are let loose, one after the other."""
 
-    def __init__(self, rng: np.random.Generator, cycles: int, library: Any) -> None:
-        self.config = some_config(rng)
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        cycles: int,
+        library: Any,
+        arm: ArmConfig | None,
+        config: Callable[[np.random.Generator], CellConfig] = some_config,
+    ) -> None:
+        self.config = replace(config(rng), arm=arm)
+        self.tool = tool_arm(self.config)
         self.motion = beating(rng, cycles)
         self.rng = rng
         self.force = np.array([1.0, 2.0, -10.0]) * rng.uniform(0.0, 1.5)
@@ -197,12 +228,13 @@ class Ring:
             seed=0,
             heart=heart_programme(self.config, self.motion),  # type: ignore[arg-type]
             library=library,
+            tool=self.tool,
         )
         contact = self.config.contact
         load = np.zeros(3) if contact.gap else self.force / contact.stiffness
         self.start = self.motion.position[0] + load + [0.0, 0.0, contact.gap]
         self.cap = force_cap(
-            self.config, 1.1 * float(np.linalg.norm(self.motion.velocity, axis=1).max())
+            self.config, 1.1 * float(np.linalg.norm(self.motion.velocity, axis=1).max()), self.tool
         )
 
     def fight(self, controller: Controller, worst: Worst) -> Trip | None:
@@ -216,18 +248,18 @@ class Ring:
         previous, seen, trip = False, 0, None
         for k in range(cell.cycles):
             measurement, truth = cell.measure(), cell.truth()
-            q = cell.data.qpos[6:12]
-            room = min(float((q - VIPER_S650.lower).min()), float((VIPER_S650.upper - q).min()))
+            q = cell.data.qpos[6 : 6 + cell.joints]
+            room = min(float((q - self.tool.lower).min()), float((self.tool.upper - q).min()))
             assert room > 0.0, f"joint out of range at {k}: {np.rad2deg(q)}"
             assert truth.force_peak <= self.cap, f"{truth.force_peak} N at {k}, cap {self.cap}"
             worst.force = max(worst.force, truth.force_peak)
             worst.share_of_cap = max(worst.share_of_cap, truth.force_peak / self.cap)
             worst.room_in_range = min(worst.room_in_range, room)
             if trip is None:
-                beyond = bool(exceeded(cell, self.config, truth.force))
+                beyond = bool(exceeded(cell, self, truth.force))
                 trip = truth.trip
                 if trip is None:
-                    assert not beyond, f"no trip at {k}: {exceeded(cell, self.config, truth.force)}"
+                    assert not beyond, f"no trip at {k}: {exceeded(cell, self, truth.force)}"
                 else:
                     # In the period that ends here; at its beginning all was within limits.
                     assert (k - 1) * 1e-3 - 1e-12 <= trip.time <= k * 1e-3 + 1e-12
@@ -244,26 +276,34 @@ class Ring:
         return trip
 
 
-def exceeded(cell: Cell, config: CellConfig, force: Array) -> list[str]:
+def exceeded(cell: Cell, ring: Ring, force: Array) -> list[str]:
     """Limits that the state of this instant exceeds, by quantities of MuJoCo's own."""
-    own, found = config.protection, []
-    data, model = cell.data, cell.model
-    q, speeds = data.qpos[6:12], data.qvel[6:12]
+    own, found = ring.config.protection, []
+    data, model, joints = cell.data, cell.model, slice(6, 6 + cell.joints)
+    q, speeds = data.qpos[joints], data.qvel[joints]
     twist = np.zeros(6)
     site = model.site("tool_tip").id
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, twist, 0)
-    if (np.abs(speeds) > 1.001 * own.joint_speed * VIPER_S650.joint_speed.si).any():
+    if (np.abs(speeds) > 1.001 * own.joint_speed * ring.tool.speed).any():
         found.append("joint_speed")
     if np.linalg.norm(twist[3:]) > own.tip_speed + 0.03:  # the guard's is the mean over a step
         found.append("tip_speed")
     if np.linalg.norm(force) > own.force * (1 + 1e-9):
         found.append("force")
     margin = own.joint_margin
-    if (q > VIPER_S650.upper - margin).any() or (q < VIPER_S650.lower + margin).any():
+    if (q > ring.tool.upper - margin).any() or (q < ring.tool.lower + margin).any():
         found.append("joint_range")
     return found
 
 
-def rings(seed: int | list[int], count: int, cycles: int, library: Any) -> Iterator[Ring]:
+def rings(
+    seed: int | list[int],
+    count: int,
+    cycles: int,
+    library: Any,
+    arm: ArmConfig | None = None,
+    *,
+    config: Callable[[np.random.Generator], CellConfig] = some_config,
+) -> Iterator[Ring]:
     for stream in np.random.SeedSequence(seed).spawn(count):
-        yield Ring(np.random.default_rng(stream), cycles, library)
+        yield Ring(np.random.default_rng(stream), cycles, library, arm, config)

@@ -17,6 +17,7 @@ from plant.arm_model import (
     link_solids,
     mass_properties,
     rotation,
+    viper_arm,
 )
 from plant.errors import PlantError
 from plant.mjcf import cell_mjcf
@@ -30,9 +31,8 @@ arms = pytest.mark.parametrize(("station", "joints"), ARMS, ids=["heart", "tool"
 @pytest.fixture(scope="module")
 def cell() -> mujoco.MjModel:
     text = cell_mjcf(
-        VIPER_S650,
-        HEART,
-        TOOL,
+        viper_arm(VIPER_S650, HEART),
+        viper_arm(VIPER_S650, TOOL),
         timestep=125e-6,
         stiffness=2500.0,
         damping=0.0,
@@ -52,7 +52,7 @@ def random_states(seed: int) -> tuple[FloatArray, FloatArray]:
 
 @arms
 def test_mujoco_and_pinocchio_agree(cell: mujoco.MjModel, station: Station, joints: slice) -> None:
-    arm = build_arm_model(VIPER_S650, station)
+    arm = build_arm_model(viper_arm(VIPER_S650, station))
     model, work = arm.model, arm.model.createData()
     assert model.frames[arm.tip].name == TIP_NAME[station.name]
     data = mujoco.MjData(cell)
@@ -100,7 +100,7 @@ def test_armature_is_in_the_mass_matrix(station: Station, joints: slice) -> None
     bare = replace(VIPER_S650, armature=Quantity((0.0,) * 6, "kg m^2", "a test"))
     masses = [
         pin.crba(arm.model, arm.model.createData(), q)
-        for arm in (build_arm_model(spec, station) for spec in (VIPER_S650, bare))
+        for arm in (build_arm_model(viper_arm(spec, station)) for spec in (VIPER_S650, bare))
     ]
     np.testing.assert_allclose(
         np.diag(masses[0] - masses[1]), VIPER_S650.armature.si, rtol=0, atol=1e-14
@@ -109,7 +109,7 @@ def test_armature_is_in_the_mass_matrix(station: Station, joints: slice) -> None
 
 @pytest.mark.parametrize("error", [-0.5, 0.2])
 def test_inertia_error_scales_the_whole_dynamics(error: float) -> None:
-    true, wrong = (build_arm_model(VIPER_S650, TOOL, e).model for e in (0.0, error))
+    true, wrong = (build_arm_model(viper_arm(VIPER_S650, TOOL), e).model for e in (0.0, error))
     qpos, qvel = random_states(2)
     for q, v in zip(qpos[:5, 6:], qvel[:5, 6:], strict=True):
         acceleration = np.arange(6.0)
@@ -120,7 +120,7 @@ def test_inertia_error_scales_the_whole_dynamics(error: float) -> None:
 
 
 def test_limits_are_set() -> None:
-    model = build_arm_model(VIPER_S650, TOOL).model
+    model = build_arm_model(viper_arm(VIPER_S650, TOOL)).model
     np.testing.assert_array_equal(model.velocityLimit, VIPER_S650.joint_speed.si)
     np.testing.assert_array_equal(model.effortLimit, VIPER_S650.torque_limit.si)
     np.testing.assert_array_equal(model.lowerPositionLimit, VIPER_S650.lower)
@@ -168,7 +168,7 @@ def test_forward_kinematics_against_a_denavit_hartenberg_product(
     if changed is not None:
         lengths[changed] *= 1.05
         spec = replace(spec, **{changed: Quantity(lengths[changed], "m", "a test")})
-    arm = build_arm_model(spec, station)
+    arm = build_arm_model(viper_arm(spec, station))
     work = arm.model.createData()
     effector = station.effector
     tip = np.array([-float(effector.rise.si), 0.0, float(effector.reach.si), 1.0])
@@ -209,7 +209,7 @@ def test_home_is_within_range_and_not_singular(station: Station, joints: slice) 
     q = home_configuration(VIPER_S650, station)
     margin = np.minimum(q - VIPER_S650.lower, VIPER_S650.upper - q)
     assert np.rad2deg(margin).min() > 35.0
-    arm = build_arm_model(VIPER_S650, station)
+    arm = build_arm_model(viper_arm(VIPER_S650, station))
     work = arm.model.createData()
     jacobian = pin.computeFrameJacobian(
         arm.model, work, q, arm.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from plant import CellConfig, PlantError
+from plant import BristleConfig, CellConfig, PlantError
+from plant.config import ContactLaw
 from plant.viper import CONTACT_POINT, VIPER_S650
 
 PERIOD = 1e-3
@@ -26,6 +27,8 @@ def leaves(kind, path=()):
 
 def other(value, kind):
     """A value near to ``value`` and different from it."""
+    if kind == ContactLaw:
+        return "standard_linear_solid"
     if isinstance(value, str):
         return next(name for name in reversed(get_args(kind)) if name != value)
     if isinstance(value, bool):
@@ -302,23 +305,46 @@ def test_commands_reach_the_inner_loop_in_steps(perfect, make_cell, still, drive
 
 def excited(config, make_cell, beating, drive, seed=0):
     """Axes with and without force control, a moving heart, a command that reverses."""
-    cell = make_cell(config, beating(40), axes=["x", "z"], seed=seed)
+    systole = np.linspace(0.0, 1.0, 40)
+    cell = make_cell(config, beating(40), axes=["x", "z"], seed=seed, contraction=systole)
     return drive(cell, lambda k: np.array([6.0, 0.0, -8.0]) * np.cos(0.3 * k))
 
 
+HUNT_CROSSLEY = {"law": "hunt_crossley", "unilateral": True}
 BASE = {
+    "relaxation": {"law": "standard_linear_solid"},
+    "relaxation_time": {"law": "standard_linear_solid"},
+    "exponent": HUNT_CROSSLEY,
+    "reference_depth": HUNT_CROSSLEY,
+    "dissipation": HUNT_CROSSLEY,
+    "static": HUNT_CROSSLEY | {"bristles": BristleConfig(0.23, 0.2)},
+    "kinetic": HUNT_CROSSLEY | {"bristles": BristleConfig(0.23, 0.2)},
+    "stribeck_velocity": HUNT_CROSSLEY | {"bristles": BristleConfig(0.23, 0.2)},
+    "break_away": HUNT_CROSSLEY | {"bristles": BristleConfig(0.26, 0.26, break_away=0.3)},
     "unilateral": {"stiffness": 1e5, "enabled": False},
     "gap": {"unilateral": True, "gap": 0.002},
     "spike_rate": {"spike_rate": 150.0},
     "spike_size": {"spike_rate": 150.0},
     "dropout_rate": {"dropout_rate": 100.0, "dropout_time": 0.002},
     "dropout_time": {"dropout_rate": 100.0, "dropout_time": 0.01},
+    "stribeck_speed": {"stribeck": 0.5},
+    "torque_limit": {"torque_limit": 0.2},
+    "joint_frequency": {"joint_frequency": 20.0},
+    "joint_damping": {"joint_frequency": 20.0},
+    "delay_jitter": {"delay_jitter": 0.5},
+    "tip_mass": {"tip_mass": 0.05},
 }
-"""Where a field needs more than the default for its effect: here the tool lifts off."""
+"""Where a field needs more than the default for its effect, or has an end: here the tool lifts off,
+there its motors saturate."""
 
 
-CALM = [path for path in leaves(CellConfig) if path[0] != "protection"]
-"""All but what has an effect in distress only: see test_protection."""
+CALM = [
+    path
+    for path in leaves(CellConfig)
+    if path[0] not in ("protection", "arm") and not path[-1].startswith("posture")
+]
+"""All but what has an effect in distress only, see test_protection, and what is about other arms,
+see test_own_arm and test_redundant."""
 
 
 @pytest.mark.parametrize("path", CALM, ids=".".join)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from plant import Cell, ContactConfig, PlantError
-from plant.contact import GRIP, Contact
-from plant.memory import LAYOUT
+from plant.contact import Contact
+from plant.memory import layout
+from plant.tissue import GRIP
 from plant.viper import CONTACT_POINT
 
 K = 2500.0
@@ -87,7 +88,7 @@ def test_in_contact_it_starts_and_goes_on_as_a_bilateral_one(
 @pytest.mark.parametrize(
     ("contact", "force", "message"),
     [
-        ({"gap": GAP}, (0, 0, -10), "only a unilateral contact"),
+        ({"gap": GAP}, (0, 0, -10), "needs cell.contact.unilateral"),
         ({"unilateral": True}, (0, 0, 5), "it only pushes"),
         ({"unilateral": True}, (6, 6, -7), "sideways"),
     ],
@@ -257,17 +258,17 @@ def test_a_round_trip_costs_energy(seed, damping):
     law[12:, 1], law[12:, 2] = -K, -damping
     site = SimpleNamespace(xmat=np.eye(3).ravel())
     contact = Contact(
-        np.zeros((), LAYOUT),
-        SimpleNamespace(actuator_biasprm=law),
+        np.zeros((), layout(6)),
+        SimpleNamespace(actuator_biasprm=law, actuator=lambda name: SimpleNamespace(id=12)),
         SimpleNamespace(actuator_length=length, actuator_velocity=rate, site=lambda name: site),
         ContactConfig(stiffness=K, damping=damping, unilateral=True),
     )
     length[12:], rate[12:] = path[0], speed[0]
-    contact.begin()
+    contact.begin(1.0)
     force = np.zeros((n + 1, 3))
     for k in range(n + 1):
         length[12:], rate[12:] = path[k], speed[k]
-        contact.follow()
+        contact.follow(1)
         contact.force(force[k])
     done = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(path, axis=0), axis=1)
     assert np.abs(done).sum() > 0.01

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from plant.arm_model import build_arm_model
+from plant.arm_model import build_arm_model, viper_arm
 from plant.config import ToolConfig
 from plant.inner_loop import InnerLoop
 from plant.viper import TOOL, VIPER_S650
@@ -24,7 +24,9 @@ def inner_loop(**changes) -> InnerLoop:
         "lead": 0.5 * PERIOD,
         "force_axes": np.arange(3),
     }
-    return InnerLoop(build_arm_model(VIPER_S650, TOOL), ToolConfig(), **settings | changes)
+    return InnerLoop(
+        build_arm_model(viper_arm(VIPER_S650, TOOL)), ToolConfig(), **settings | changes
+    )
 
 
 def turn(cell) -> np.ndarray:

@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 
 from plant import JointPlant, JointSpace
-from plant.arm_model import build_arm_model
+from plant.arm_model import build_arm_model, viper_arm
 from plant.config import ToolConfig
 from plant.inner_loop import InnerLoop
 from plant.viper import TOOL, VIPER_S650
 
-ARM = build_arm_model(VIPER_S650, TOOL, 0.2)
+ARM = build_arm_model(viper_arm(VIPER_S650, TOOL), 0.2)
 Q = np.array([0.1, -1.6, 2.9, 0.2, 0.5, -0.1])
 QDOT = np.array([0.3, -0.2, 0.4, -0.5, 0.2, 0.6])
 FORCE, PREVIOUS = np.array([1.0, 2.0, -10.0]), np.array([3.0, -4.0, 5.0])
@@ -148,10 +148,12 @@ def test_one_step_of_the_simulation_goes_as_predicted(axes, perfect, make_cell, 
         measurement, truth, command = cell.measure(), cell.truth(), push(k)
         v, force = measurement.velocity[index], measurement.force[index]
         assert np.array_equal(truth.joint_velocity, cell.data.qvel[6:])
+        assert np.array_equal(truth.joint_angle, cell.data.qpos)
         space = cell.joint_space(measurement.force, push(k - 1))
         np.testing.assert_allclose(speeds(space, v), truth.joint_velocity, rtol=0, atol=1e-9)
         cell.apply(command)
         asked.append(cell.truth().torque)
+        assert np.array_equal(cell.truth().joint_angle, truth.joint_angle)  # still of the measure
         assert not cell.truth().saturated
         if before is not None:
             wrong = np.abs(speeds(before, v) - truth.joint_velocity)

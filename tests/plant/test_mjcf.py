@@ -5,6 +5,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from plant.arm_model import viper_arm
+from plant.flexibility import JointSprings
 from plant.mjcf import SERVO_DAMPING, SERVO_STIFFNESS, cell_mjcf
 from plant.viper import HEART, TOOL, VIPER_S650, ArmSpec, FloatArray, Quantity, Station
 
@@ -23,7 +25,7 @@ def cell_text(
         "friction": 1.0,
         "torque_lag": 0.0,
     }
-    return cell_mjcf(spec, heart, tool, **(arguments | changed))
+    return cell_mjcf(viper_arm(spec, heart), viper_arm(spec, tool), **(arguments | changed))
 
 
 def cell_at_home(
@@ -318,3 +320,37 @@ def test_servo_damping_is_implicit() -> None:
     data.qvel[5] = 1.0
     mujoco.mj_step(model, data)
     assert 0.2 < data.qvel[5] < 0.5
+
+
+# --- flexible joints -----------------------------------------------------------------------------
+
+
+def test_flexible_joints_leave_everything_in_its_place_and_give_the_motors_to_rotors() -> None:
+    springs = JointSprings(np.arange(1.0, 7.0) * 1e3, np.arange(1.0, 7.0))
+    rigid, _ = cell_at_home()
+    model, data = cell_at_home(springs=springs)  # type: ignore[arg-type]
+    assert (model.nq, model.nv, model.nu, model.ntendon) == (18, 18, rigid.nu, 6)
+    assert [model.joint(i).name for i in range(12)] == [rigid.joint(i).name for i in range(12)]
+    assert [model.joint(i).name for i in range(12, 18)] == [f"tool_rotor{i}" for i in range(1, 7)]
+    for name in ("dof_armature", "dof_frictionloss", "dof_damping"):
+        found, usual = getattr(model, name), getattr(rigid, name)
+        np.testing.assert_array_equal(
+            found[12:], usual[6:]
+        )  # of the motors, no longer of the links
+        np.testing.assert_array_equal(found[:6], usual[:6])
+        assert not found[6:12].any()
+    for i in range(6):
+        assert model.actuator(f"tool_motor{i + 1}").trnid[0] == 12 + i
+        assert model.equality(f"tool_brake{i + 1}").obj1id == 12 + i
+    np.testing.assert_array_equal(model.actuator_forcerange, rigid.actuator_forcerange)
+    np.testing.assert_array_equal(model.tendon_stiffness, springs.stiffness)
+    np.testing.assert_array_equal(model.tendon_damping, springs.damping)
+    np.testing.assert_array_equal(data.qpos[12:], data.qpos[6:12])
+    assert not data.qfrc_bias[12:].any()  # a rotor has no weight
+    # A turn of a link against its rotor is what winds its spring up.
+    data.qpos[6] += 0.1
+    data.qpos[13] += 0.1
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.ten_length, [0.1, -0.1, 0, 0, 0, 0], atol=1e-12)
+    torque = data.qfrc_passive[[6, 12, 7, 13]]
+    np.testing.assert_allclose(torque, [-100.0, 100.0, 200.0, -200.0], atol=1e-9)

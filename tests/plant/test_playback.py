@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from plant import PlantError, UnreachableMotionError
-from plant.arm_model import build_arm_model, home_configuration
+from plant.arm_model import build_arm_model, viper_arm
 from plant.mjcf import SERVO_DAMPING, SERVO_STIFFNESS
 from plant.playback import Programme, programme
 from plant.viper import CONTACT_POINT, HEART, VIPER_S650, Quantity
@@ -26,10 +26,11 @@ def motion(beating):
 
 @pytest.fixture(scope="module")
 def play():
-    arm, home = build_arm_model(VIPER_S650, HEART), home_configuration(VIPER_S650, HEART)
+    exact = build_arm_model(viper_arm(VIPER_S650, HEART))
 
     def run(motion, *, spec=VIPER_S650, friction=0.0) -> Programme:
-        return programme(spec, arm, home, motion, period=PERIOD, friction=friction)
+        arm = viper_arm(spec, HEART)
+        return programme(arm, exact, motion, period=PERIOD, friction=friction)
 
     return run
 
@@ -52,7 +53,7 @@ def mj(perfect, make_cell, still):
 
 
 def test_forward_kinematics_give_the_motion_back(motion, reached):
-    arm = build_arm_model(VIPER_S650, HEART)
+    arm = build_arm_model(viper_arm(VIPER_S650, HEART))
     data = arm.model.createData()
     for k in range(0, 301, 10):
         pin.framesForwardKinematics(arm.model, data, reached(k)[0])

@@ -16,7 +16,7 @@ import pytest
 
 from plant import Cause, PlantError, ProtectionConfig, force_cap
 from plant.cell import heart_programme
-from plant.memory import LAYOUT, struct_text
+from plant.memory import layout, struct_text
 from plant.viper import VIPER_S650
 from scenarios.physics import physics_loop
 
@@ -29,7 +29,7 @@ DOWN = -UP
 
 @pytest.fixture(scope="module")
 def library():
-    found = physics_loop()
+    found = physics_loop(6)
     if found.library is None:
         pytest.skip(found.told)
     return found.library
@@ -110,12 +110,16 @@ class Witness:
             self.found[cause].append(float(value))
 
 
-@pytest.mark.parametrize("cause", list(TRIPPING))
+@pytest.mark.parametrize(
+    "case", [(cause, joints) for cause in TRIPPING for joints in (0.0, 60.0)], ids=str
+)
 def test_it_trips_after_the_very_step_that_passes_a_limit(
-    cause, realistic, make_cell, beating, monkeypatch
+    case, realistic, make_cell, beating, monkeypatch
 ):
+    """With flexible joints, the step in which the links pass it, wherever the motors are."""
+    cause, joints = case
     changes, command = TRIPPING[cause]
-    config, motion = realistic(**changes), beating(200)
+    config, motion = realistic(joint_frequency=joints, **changes), beating(200)
     cell = make_cell(config, motion)
     witness = Witness(cell, motion, config, command)
     monkeypatch.setattr(
@@ -221,7 +225,7 @@ def test_brakes_let_the_guard_rest(realistic, make_cell, beating, drive):
 def test_the_tool_is_taken_off_the_tissue_and_held(way, unilateral, realistic, make_cell, still):
     distance, speed = way
     config = realistic(retraction=distance, retraction_speed=speed, unilateral=unilateral)
-    cell = make_cell(config, still(1500), library=physics_loop().library)
+    cell = make_cell(config, still(1500), library=physics_loop(6).library)
     trip = until_trip(cell, 10.0 * DOWN)
     assert trip.cause is Cause.FORCE
     tissue = cell.truth().tissue
@@ -332,35 +336,43 @@ def test_the_peak_of_the_force_is_that_of_all_physics_steps(
 # --- the loop in C -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_compiled_loop_is_the_loop_in_python_bit_for_bit(seed, library):
+@pytest.mark.parametrize("kind", [hostile.some_config, hostile.flawed_config])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_compiled_loop_is_the_loop_in_python_bit_for_bit(seed, kind, library):
     """Under every controller, in cells of every kind, until long after a trip."""
-    in_python, in_c = (next(hostile.rings(seed, 1, 150, which)) for which in (None, library))
+    in_python, in_c = (
+        next(hostile.rings(seed, 1, 150, which, config=kind)) for which in (None, library)
+    )
     tripped = 0
-    for kind in hostile.CONTROLLERS:
+    for make in hostile.CONTROLLERS:
         runs = []
         for ring in (in_python, in_c):
             rng = np.random.default_rng(seed)
-            controller, cell, rows = kind(rng), ring.cell, []
+            controller, cell, rows = make(rng), ring.cell, []
             cell.move_tool(ring.start)
             for k in range(150):
                 measurement, truth = cell.measure(), cell.truth()
                 rows.append([*cell.data.qpos, *cell.data.qvel, *truth.force, truth.force_peak])
                 cell.apply(controller(k, measurement))
             runs.append((np.array(rows), cell.truth().trip))
-        assert np.array_equal(runs[0][0], runs[1][0]), kind.__name__
+        assert np.array_equal(runs[0][0], runs[1][0]), make.__name__
         assert runs[0][1] == runs[1][1]
         tripped += runs[0][1] is not None
     assert tripped >= 4
 
 
-def test_the_struct_is_the_layout():
-    lines = struct_text().splitlines()[1:-1]
-    assert len(lines) == len(LAYOUT.names)
-    assert "  double goal[6];" in lines
+@pytest.mark.parametrize("joints", [6, 7])
+def test_the_struct_is_the_layout(joints):
+    counts, _, *lines, _ = struct_text(joints).splitlines()
+    own = layout(joints)
+    assert f"JOINTS = {joints} " in counts
+    assert len(lines) == len(own.names)
+    assert f"  double goal[{joints}];" in lines
+    assert f"  double inertia[{joints**2}];" in lines
+    assert "  double heart[6];" in lines
     assert "  int64_t substeps;" in lines
     assert "  double *qpos;" in lines
-    assert LAYOUT.itemsize == 8 * sum(math.prod(LAYOUT[n].shape) for n in LAYOUT.names)
+    assert own.itemsize == 8 * sum(math.prod(own[n].shape) for n in own.names)
 
 
 def test_a_library_of_something_else_is_refused(realistic, make_cell, still):
@@ -384,10 +396,10 @@ def test_the_cap_follows_stiffness_speed_and_lag(realistic):
     assert force_cap(realistic(stiffness=1e-9), 0.1) == pytest.approx(30.0)
 
 
-def besiege(seed, count, sequences, cycles, library):
+def besiege(seed, count, sequences, cycles, library, *, kind=hostile.some_config):
     """Let every controller loose ``sequences`` times in all, in ``count`` cells."""
     worst, n = hostile.Worst(), 0
-    for ring in hostile.rings(seed, count, cycles, library):
+    for ring in hostile.rings(seed, count, cycles, library, config=kind):
         for _ in range(sequences // count):
             ring.fight(hostile.CONTROLLERS[n % len(hostile.CONTROLLERS)](ring.rng), worst)
             n += 1
@@ -401,6 +413,13 @@ def test_whatever_is_sent_joints_stay_in_range_and_force_below_its_cap(cycles, l
     assert worst.force > 30.0
 
 
+def test_so_do_they_with_every_imperfection(library):
+    """Flexible joints, weak motors, coarse encoders, late commands: in half of the cells each."""
+    worst = besiege(11, 6, 48, 350, library, kind=hostile.flawed_config)
+    assert len(worst.tripped) >= 4
+    assert worst.force > 30.0
+
+
 @pytest.mark.hostile
 @pytest.mark.parametrize("half", [0, 1])
 def test_ten_thousand_hostile_sequences(half, library):
@@ -410,3 +429,9 @@ def test_ten_thousand_hostile_sequences(half, library):
     assert short.sequences + far.sequences == 5000
     for name, worst in (("0.4 s", short), ("2.5 s", far)):
         print(f"{worst.sequences} sequences of {name}: {worst}")
+
+
+@pytest.mark.hostile
+def test_a_thousand_hostile_sequences_with_every_imperfection(library):
+    worst = besiege([0, 2], 50, 1200, 400, library, kind=hostile.flawed_config)
+    print(f"{worst.sequences} sequences of 0.4 s, every imperfection: {worst}")

@@ -1,5 +1,6 @@
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from qpmpc import (
     axis_model,
     contact_model,
 )
-from qpmpc.config import FREE, Disturbance
+from qpmpc.config import FREE, Disturbance, RhythmConfig
 
 PERIOD = 1e-3
 KINDS = Disturbance.__args__
@@ -78,10 +79,12 @@ def trace(
     config: ControllerConfig,
     axes: tuple[Any, ...] = ("x", "y", "z"),
     cycles: int = 80,
+    *,
     backend: str = "daqp",
     cell: Cell | None = None,
+    faults: Mapping[int, float] = MappingProxyType({}),
 ) -> tuple[np.ndarray, Cell, list[Status]]:
-    """Commands of a closed loop, ``(cycles, n_axes)``."""
+    """Commands of a closed loop, ``(cycles, n_axes)``; ``faults``: off by how much, and when."""
     cell = cell or Cell(len(axes))
     controller = ForceController(config, axes, PERIOD, backend, joints=Joints())
     controller.reset(cell.force)
@@ -90,7 +93,7 @@ def trace(
     for k in range(cycles):
         if k == 20:
             wish = wish + 0.5
-        measured = cell.force + 3e-3 * noise.standard_normal(len(axes))
+        measured = cell.force + 3e-3 * noise.standard_normal(len(axes)) + faults.get(k, 0.0)
         speed = cell.velocity + 1e-4 * noise.standard_normal(len(axes))
         controller.view(Joints())
         step = controller.step(measured, speed, wish)
@@ -119,6 +122,15 @@ SOLVER_FIELDS = (
 """What does not change the answer; tested below by what it does change."""
 RIVALS = ("kind", "pi.", "ilc.", "aob.", "paper_law.")
 """What others than this controller read; tested with them, in ``rivals``."""
+FAULTY = ("observer.tissue_acceleration", "observer.tissue_jerk", "observer.patience",
+          "observer.force_gate")  # fmt: skip
+"""What matters where measurements are missing or wrong."""
+FAULTS = dict.fromkeys(range(30, 45), np.nan) | {60: 5.0}
+BEAT_FIELDS = tuple(
+    f"observer.rhythm.{f.name}" for f in fields(RhythmConfig) if f.name != "jerk_drift"
+)
+"""What has no effect before a few beats; tested in rhythm/test_preview.py."""
+LATER = SOLVER_FIELDS + BEAT_FIELDS
 TIGHT_FORCE = {"bounds.force": PerAxis((1.9, 2.1), (2.9, 3.1), (3.9, 4.1))}
 TIGHT_VELOCITY = {"bounds.velocity": (-0.01, 0.01)}
 EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -133,12 +145,18 @@ EFFECTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "model.velocity_damping": (30.0, {}),
     "model.delay": (2, {}),
     "model.lag": (0.0, {}),
+    "model.damping": (20.0, {}),
     "observer.disturbance": ("constant", {}),
     "observer.force_noise": (0.01, {}),
     "observer.velocity_noise": (1e-3, {}),
     "observer.input_drift": (3.0, {}),
     "observer.input_slope_drift": (30.0, {"observer.disturbance": "ramp"}),
     "observer.tissue_jerk_drift": (1000.0, {}),
+    "observer.tissue_acceleration": (0.1, {}),
+    "observer.tissue_jerk": (1.0, {}),
+    "observer.patience": (0.005, {}),
+    "observer.force_gate": (10.0, {}),
+    "observer.rhythm.jerk_drift": (500.0, {"observer.disturbance": "tracked"}),
     "bounds.command": ((-4.0, 4.0), {}),
     "bounds.rate": ((-0.5, 0.5), {}),
     "bounds.force": (PerAxis((1.95, 2.05), (2.95, 3.05), (3.95, 4.05)), {}),
@@ -172,14 +190,15 @@ def changed(record: Any, path: str, value: Any) -> Any:
     return replace(record, **{name: changed(getattr(record, name), rest, value) if rest else value})
 
 
-@pytest.mark.parametrize("path", [p for p in paths(ControllerConfig()) if p not in SOLVER_FIELDS])
+@pytest.mark.parametrize("path", [p for p in paths(ControllerConfig()) if p not in LATER])
 def test_every_field_has_an_effect(path: str) -> None:
     assert path in EFFECTS, f"state in EFFECTS what another value of {path} changes"
     value, context = EFFECTS[path]
     base = ControllerConfig()
     for other, setting in context.items():
         base = changed(base, other, setting)
-    before, after = trace(base)[0], trace(changed(base, path, value))[0]
+    faults = FAULTS if path in FAULTY else {}
+    before, after = (trace(c, faults=faults)[0] for c in (base, changed(base, path, value)))
     difference = np.abs(before - after).max(axis=0)
     axes = difference[:2] if path.startswith(LATERAL) else difference
     assert (axes > 1e-3).all()
@@ -218,7 +237,7 @@ def test_fields_of_the_solver_change_how_it_solves() -> None:
 
 
 def test_effects_are_stated_for_fields_there_are() -> None:
-    assert set(EFFECTS) | set(SOLVER_FIELDS) == set(paths(ControllerConfig()))
+    assert set(EFFECTS) | set(LATER) == set(paths(ControllerConfig()))
 
 
 # ---- measurements
@@ -549,15 +568,17 @@ def test_reset_starts_at_rest_with_the_force_given() -> None:
     np.testing.assert_allclose(steps[0].command, steps[1].command, rtol=1e-9)
 
 
-def test_lost_measurement_fails_one_cycle_only() -> None:
-    controller = ForceController(configured(), ("x",), PERIOD)
+@pytest.mark.parametrize(("patience", "lost"), [(0.0, Status.FAILED), (0.04, Status.SOLVED)])
+def test_lost_measurement_is_one_of_one_cycle(patience: float, lost: Status) -> None:
+    config = changed(ControllerConfig(), "observer.patience", patience)
+    controller = ForceController(config, ("x",), PERIOD)
     controller.reset(np.array([2.0]))
     good = np.array([2.0]), np.zeros(1), np.full((9, 1), 2.2)
     statuses = [controller.step(*good).status]
     statuses.append(controller.step(np.array([np.nan]), *good[1:]).status)
     statuses.append(controller.step(good[0], np.array([np.inf]), good[2]).status)
     statuses.append(controller.step(*good).status)
-    assert statuses == [Status.SOLVED, Status.FAILED, Status.FAILED, Status.SOLVED]
+    assert statuses == [Status.SOLVED, lost, lost, Status.SOLVED]
 
 
 @pytest.mark.parametrize(

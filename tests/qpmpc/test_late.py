@@ -197,6 +197,7 @@ def test_without_a_deadline_no_clock_decides(loop: Any) -> None:
 def test_without_a_measurement_the_status_tells_that_first(loop: Any) -> None:
     run = loop()
     run.cycle()
+    run.controller.observer.patience = 0
     run.x[0] = np.nan
     step = run.cycle(SLOW)
     assert (step.status, step.source) == (Status.FAILED, Source.PLAN)

@@ -140,7 +140,7 @@ def test_every_other_answer_is_enough(failing, sound):
 def blind(monkeypatch, simulate):
     """Run `paper` with a force sensor that tells nothing in a stretch of cycles."""
 
-    def run(lost, duration=0.7):
+    def run(lost, *settings, duration=0.7):
         class Blind(Cell):
             def measure(self):
                 seen = super().measure()
@@ -149,14 +149,31 @@ def blind(monkeypatch, simulate):
                 return seen
 
         monkeypatch.setattr("scenarios.experiment.Cell", Blind)
-        return simulate("paper", ON_ITS_BOUND, still=False, duration=duration)
+        return simulate("paper", ON_ITS_BOUND, *settings, still=False, duration=duration)
 
     return run
 
 
-def test_without_a_measurement_the_plan_goes_on_and_is_then_held(blind, sound):
+def test_without_a_force_the_estimate_goes_on_with_the_velocity(blind, sound):
     lost = range(450, 465)
-    run = blind(lost)
+    run, held = blind(lost), blind(lost, "controller.observer.patience=0.0")
+    assert run.summary["source"] == {"solution": 700, "plan": 0, "analytic": 0, "hold": 0}
+    assert np.isnan(run.log.force_measured[lost]).all()
+    check_finite(run, "force_measured")
+    assert error(run, range(450, 480)) < 0.3 * error(held, range(450, 480))
+    assert error(run, range(560, 700)) < 1.3 * error(sound, range(560, 700)) + 0.02
+
+
+def test_patience_ends_after_its_time(blind):
+    run = blind(range(450, 530), "controller.observer.patience=0.03")
+    assert sources(run)[449:531] == (
+        ["solution"] * 31 + ["plan"] * 7 + ["hold"] * 43 + ["solution"]
+    )
+
+
+def test_without_patience_the_plan_goes_on_and_is_then_held(blind, sound):
+    lost = range(450, 465)
+    run = blind(lost, "controller.observer.patience=0.0")
     assert run.summary["status"] == {"solved": 685, "failed": 15}
     assert run.summary["source"] == {"solution": 685, "plan": 7, "analytic": 0, "hold": 8}
     assert sources(run)[449:466] == ["solution"] + ["plan"] * 7 + ["hold"] * 8 + ["solution"]

@@ -1,10 +1,16 @@
-"""Every key of bounds and solver does to a run what it says; on the perfect cell, to the letter."""
+"""Every key of bounds and solver does to a run what it says; on the perfect cell, to the letter.
+
+And every imperfection of that cell has an effect.
+"""
 
 from __future__ import annotations
+
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
+from plant import ImperfectionConfig
 from plant.viper import VIPER_S650
 from qpmpc.backends import available
 from qpmpc.errors import BackendSetupError
@@ -269,3 +275,50 @@ def test_a_cap_that_comes_slowly_is_followed(press):
 def test_a_bound_on_velocity_may_come_although_there_was_none(press, free):
     run = press("bounds_steps=[{time=0.001, velocity=[-0.08, 0.08]}]")
     assert 0.0799 < tool_speed(run) < 0.08 * (1 + 1e-3)
+
+
+# --- imperfections -------------------------------------------------------------------------------
+
+FLAWS = {
+    "inertia_error": ("[0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0]",),
+    "friction": ("1.0",),
+    "friction_compensation": ("0.5", "friction=1.0"),
+    "stribeck": ("0.5", "friction=1.0"),
+    "stribeck_speed": ("0.5", "friction=1.0", "stribeck=0.5"),
+    "torque_lag": ("0.001",),
+    "torque_limit": ("0.2",),
+    "joint_frequency": ("80.0",),
+    "joint_damping": ("0.5", "joint_frequency=80.0"),
+    "encoder_resolution": ("1e-6",),
+    "velocity_filter": ("0.0005",),
+    "delay": ("1",),
+    "delay_jitter": ("0.2",),
+    "command_resolution": ("0.01",),
+    "tip_mass": ("0.01",),
+}
+"""A value of each key of ``cell.imperfections``, and what it needs for its effect."""
+
+
+def test_no_imperfection_is_left_out():
+    assert set(FLAWS) == {f.name for f in fields(ImperfectionConfig)}
+
+
+@pytest.mark.parametrize("key", FLAWS)
+def test_an_imperfection_changes_the_run_and_the_run_stays_whole(key, press, free):
+    size, *others = FLAWS[key]
+    value, *needed = (f"cell.imperfections.{text}" for text in (f"{key}={size}", *others))
+    without = press(*needed) if needed else free
+    run = press(*needed, value)
+    assert not np.array_equal(run.log.force, without.log.force)
+    assert run.summary["trip"] is None
+    assert sum(run.summary["status"].values()) == 80
+    assert np.isfinite(run.log.force).all()
+
+
+def test_what_is_read_differs_by_the_flaw_and_errors_count_from_what_is_true(press):
+    run = press("cell.imperfections.tip_mass=0.02")
+    apart = np.abs(run.log.force_measured - run.log.force).max()
+    assert apart > 0.1
+    true = np.sqrt(np.mean((run.log.force - run.log.setpoint) ** 2, axis=0))
+    told = [run.summary["axes"][axis]["compensated"]["rms"] for axis in "xyz"]
+    np.testing.assert_allclose(told, true)

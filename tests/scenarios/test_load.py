@@ -24,7 +24,10 @@ from scenarios import (
 )
 from scenarios.motion import MotionConfig
 
-NAMES = ("constrained", "ecg", "ideal", "latency", "paper", "paper-1d", "paper-law")
+NAMES = (
+    "constrained", "ecg", "harsh", "ideal", "latency", "other-arm", "paper", "paper-1d",
+    "paper-law",
+)  # fmt: skip
 
 
 def refusal(*arguments, kind=ScenarioError, **named) -> str:
@@ -60,7 +63,9 @@ def test_the_scenarios_are_what_they_say():
     assert (one.axes, one.motion.axes) == (("z",), ("z",))
     flaws = ideal.cell.imperfections
     assert ideal.cell.sensor.model == "ideal"
-    assert not any(getattr(flaws, f.name) for f in fields(flaws))
+    sizes = {"torque_limit": 1.0, "stribeck_speed": 0.05, "joint_damping": 0.05}
+    for f in fields(flaws):  # off, or of no effect without what is off
+        assert getattr(flaws, f.name) == sizes.get(f.name, 0), f.name
     assert law.controller.observer.disturbance == "none"
     assert law.backend == "analytic"
     assert law.cell == paper.cell
@@ -214,6 +219,30 @@ WRONG = [
     ("cell.imperfections.inertia_error = -1.0", "cell.imperfections.inertia_error"),
     ("cell.imperfections.friction_compensation = 1.1", "cell.imperfections.friction_compensation"),
     ("cell.imperfections.delay = 21", "cell.imperfections.delay"),
+    ("cell.imperfections.inertia_error = [0.2, 0.1]", "cell.imperfections.inertia_error"),
+    ("cell.imperfections.inertia_error = []", "cell.imperfections.inertia_error"),
+    (
+        "cell.imperfections.inertia_error = [0, 0, -1.5, 0, 0, 0, 0]",
+        "cell.imperfections.inertia_error.2",
+    ),
+    ("cell.imperfections.inertia_error = 'much'", "cell.imperfections.inertia_error"),
+    (
+        "cell.imperfections.inertia_error = [0, nan, 0, 0, 0, 0, 0]",
+        "cell.imperfections.inertia_error.1",
+    ),
+    ("cell.imperfections.stribeck = -0.1", "cell.imperfections.stribeck"),
+    ("cell.imperfections.stribeck_speed = 0.0", "cell.imperfections.stribeck_speed"),
+    ("cell.imperfections.torque_limit = 0.0", "cell.imperfections.torque_limit"),
+    ("cell.imperfections.torque_limit = 1.5", "cell.imperfections.torque_limit"),
+    ("cell.imperfections.joint_frequency = -20.0", "cell.imperfections.joint_frequency"),
+    ("cell.imperfections.joint_damping = 2.0", "cell.imperfections.joint_damping"),
+    ("cell.imperfections.encoder_resolution = -1e-6", "cell.imperfections.encoder_resolution"),
+    ("cell.imperfections.encoder_resolution = 1.0", "cell.imperfections.encoder_resolution"),
+    ("cell.imperfections.velocity_filter = 0.1", "cell.imperfections.velocity_filter"),
+    ("cell.imperfections.delay_jitter = 1.0", "cell.imperfections.delay_jitter"),
+    ("cell.imperfections.delay_jitter = true", "cell.imperfections.delay_jitter"),
+    ("cell.imperfections.tip_mass = -0.01", "cell.imperfections.tip_mass"),
+    ("cell.imperfections.tip_mass = 0.16", "cell.imperfections.tip_mass"),
     ("setpoint.steps = [{time = 0.0, x = 1.0}]", "setpoint.steps.0.time"),
     ("setpoint.steps = [{x = 1.0}]", "setpoint.steps.0.time"),
     ("motion.heart_rate = 10.0", "motion.heart_rate"),

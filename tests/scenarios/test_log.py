@@ -35,6 +35,7 @@ def filled(cycles: int, rows: int, axes=("x", "z")) -> Log:
         truth = Truth(
             np.full(3, k + 0.4), np.full(3, k + 0.5), np.full(6, k + 0.6), k % 3 == 0,
             touching=k > 1, joint_velocity=k + 0.1 * np.arange(6),
+            joint_angle=k + 0.01 * np.arange(12),
         )  # fmt: skip
         log.record(
             measurement,
@@ -72,6 +73,9 @@ def test_the_file_gives_the_columns_back(log, table):
     for name in ("torque", "joint_velocity"):
         read = np.column_stack([table[f"{name}_{j}"].to_numpy() for j in range(1, 7)])
         assert np.array_equal(read, getattr(log, name)[:5])
+    for start, name in ((0, "heart_joint_angle"), (6, "joint_angle")):
+        read = np.column_stack([table[f"{name}_{j}"].to_numpy() for j in range(1, 7)])
+        assert np.array_equal(read, log.joint_angle[:5, start : start + 6])
     for name in (
         "time", "torque_saturated", "command_saturated", "touching", "residual", "iterations",
         "build_time", "solve_time", "cycle_time",
@@ -91,6 +95,8 @@ def test_what_is_recorded_lands_in_its_own_column(table):
     assert row["torque_6"] == 3.6
     assert row["joint_velocity_1"] == 3.0
     assert row["joint_velocity_6"] == 3.5
+    assert row["heart_joint_angle_2"] == pytest.approx(3.01, abs=1e-6)
+    assert row["joint_angle_1"] == pytest.approx(3.06, abs=1e-6)
     assert row["build_time"] == 3e-3
     assert table["touching"].to_pylist() == [False, False, True, True, True]
     assert (row["setpoint_x"], row["setpoint_z"]) == (1.0, -10.0)
@@ -107,6 +113,7 @@ UNITS = {
     "slack_command": "m/s^2", "slack_rate": "m/s^2", "slack_velocity": "m/s", "status": "1",
     "solve_time": "s", "cycle_time": "s", "build_time": "s", "source": "1", "touching": "1",
     "joint_velocity_1": "rad/s", "joint_velocity_6": "rad/s", "force_peak": "N", "trip": "1",
+    "joint_angle_1": "rad", "heart_joint_angle_6": "rad",
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import stat
 
 import numpy as np
@@ -11,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from scenarios import ScenarioError, load_scenario, run_experiment, summarise
+from scenarios.load import shipped
 from scenarios.results import result_folder, to_json, write_run
 
 TIMES = ("build_time", "solve_time", "cycle_time", "plant_time")
@@ -97,6 +99,21 @@ def test_a_recorded_setpoint_goes_with_the_folder(tmp_path):
     assert repeatable(first) == repeatable(again)
     asked = pq.read_table(tmp_path / "b" / "log.parquet")["setpoint_z"].to_numpy()
     assert asked[[0, 20, 30]] == pytest.approx([-10.0, -10.0, -10.5])
+
+
+def test_an_arm_of_ones_own_goes_with_the_folder(tmp_path):
+    """With what its file includes."""
+    source = tmp_path / "mine"
+    shutil.copytree(shipped()["other-arm"].parent, source)
+    whole = (source / "arms" / "panda.xml").read_text()
+    start, end = whole.index("<worldbody>") + len("<worldbody>"), whole.index("</worldbody>")
+    (source / "arms" / "parts.xml").write_text(f"<mujocoinclude>{whole[start:end]}</mujocoinclude>")
+    split = f"{whole[:start]}<include file='parts.xml'/>{whole[end:]}"
+    (source / "arms" / "panda.xml").write_text(split)
+    first = simulate(source / "other-arm.toml", tmp_path / "a", top={"duration": 0.04})
+    shutil.rmtree(source)
+    again = simulate(tmp_path / "a" / "config.toml", tmp_path / "b")
+    assert repeatable(first) == repeatable(again)
 
 
 def test_a_recorded_setpoint_is_held_to_the_bounds_on_force(tmp_path):

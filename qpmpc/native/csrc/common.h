@@ -27,8 +27,11 @@ enum {
   NOT_MEASURED = 3,     /* NaN or infinity among what was measured */
   NOT_FINITE = 4,       /* NaN or infinity among the vectors of the QP, or bounds that cross */
   NOT_CHECKED = 5,      /* an answer that failed the check */
-  TOO_LATE = 6          /* an answer after the deadline */
+  TOO_LATE = 6,         /* an answer after the deadline */
+  NOT_STEADY = 7        /* the gain is not that of the steady state, or the gate refuses a row */
 };
+
+#define REFUSED 2 /* what `update` says where the gate refuses a row */
 
 /* Memory that the interpreted path reads and writes too; pointers only, in the generator's order. */
 struct shared {
@@ -42,6 +45,9 @@ struct shared {
   const double *fall;        /* (INPUTS) of the change of u(k) */
   const double *rise;        /* (INPUTS) */
   const double *remaining;   /* time until the answer has to be there [s] */
+  const double *gate;        /* (MEASURED) innovation up to which a row is taken */
+  int64_t *missing;          /* (MEASURED) cycles for which each row has not been used */
+  const int64_t *settled;    /* whether the observer's gain is that of the steady state */
   double *state;             /* (STATES) */
   double *command;           /* (INPUTS) */
   double *free;              /* (HORIZON, OUTPUTS) */

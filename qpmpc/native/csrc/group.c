@@ -46,12 +46,18 @@ INLINE int NAME(fresh)(const struct NAME(group) *g, const struct shared *s) {
   return same;
 }
 
+/* Return 0, or REFUSED, or 1 where something is not finite. */
 static int NAME(update)(struct NAME(group) *g, const struct shared *s) {
   const struct NAME(constants) *c = g->constants;
   const struct NAME(maps) *at = g->maps;
   double e[SOME(NM)];
+  int refused = 0;
   const double *head = (const double *)g->base;
-  for (int i = 0; i < NM; i++) e[i] = s->measurement[at->measured[i]] - head[i];
+  for (int i = 0; i < NM; i++) {
+    e[i] = s->measurement[at->measured[i]] - head[i];
+    refused |= fabs(e[i]) > s->gate[at->measured[i]];
+  }
+  if (refused) return REFUSED;
   product(XB, NM, c->correct, e, g->xp, g->x);
   product(GB, NM, c->innovate, e, g->base, g->now);
   const double *now = (const double *)g->now, *output = now + NM, *free = now + LANES * HB;

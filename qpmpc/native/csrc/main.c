@@ -39,8 +39,10 @@ int step(struct memory *m) {
   EACH(FRESHEN)
   for (int i = 0; i < MEASURED; i++) measured += s->measurement[i];
   if (!isfinite(measured)) return NOT_MEASURED;
+  if (!*s->settled) return NOT_STEADY;
 #define UPDATE(kind, i) odd |= update_##kind(&m->group_##i, s);
   EACH(UPDATE)
+  if (odd & REFUSED) return NOT_STEADY;
   if (odd) return NOT_FINITE;
   const double updated = seconds();
 #define SOLVE(kind, i) failed |= answer_##kind(&m->group_##i, &found.iterations);
@@ -75,6 +77,7 @@ int step(struct memory *m) {
   if (isfinite(*s->remaining) && !(seconds() - began <= *s->remaining)) return TOO_LATE;
 #define COMMIT(kind, i) commit_##kind(&m->group_##i, s);
   EACH(COMMIT)
+  for (int i = 0; i < MEASURED; i++) s->missing[i] = 0;
   *s->cursor = 1;
   *s->prepared = 0;
   *s->counts = found.iterations;

@@ -86,7 +86,7 @@ def test_the_folder_holds_what_repeats_and_shows_it(measured, told):
     folder = measured[0]
     groups = ("xyz-N4", "xyz-N7", "z-N4", "z-N7")
     assert {p.name for p in folder.iterdir()} == {
-        "latency.json", "config.toml",
+        "latency.json", "config.toml", "report.html",
         *(f"latency-{group}.png" for group in groups),
         *(f"times-{group}.npz" for group in groups),
         *(f"instances-{group}.npz" for group in groups),
@@ -253,7 +253,7 @@ def test_ctrl_c_keeps_the_groups_that_are_whole(start, tmp_path):
     assert not told.complete
     assert {row.horizon for row in told.rows} == {4}
     assert {p.name for p in (tmp_path / "m").iterdir()} == {
-        "latency.json", "config.toml", "latency-xyz-N4.png", "times-xyz-N4.npz",
+        "latency.json", "config.toml", "report.html", "latency-xyz-N4.png", "times-xyz-N4.npz",
         "instances-xyz-N4.npz",
     }  # fmt: skip
     assert [p.name for p in tmp_path.iterdir()] == ["m"]

@@ -65,6 +65,8 @@ def test_anybodys_controller_can_be_entered(monkeypatch, make, loop):
 
         def settle(self, command): ...
 
+        def adopt(self, force): ...
+
     register_controller(ControllerKind("still", "does nothing", "here", "", by_law(Still)))
     assert [kind.name for kind in controllers()] == ["still"]
     assert not loop(make("still", CONFIG), CONFIG, 5, setpoint=lambda k: 1.0).force.any()
