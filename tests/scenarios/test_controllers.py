@@ -77,6 +77,15 @@ def test_bounds_that_move_are_met_by_those_who_do_not_know_them(simulate):
     assert run.log.bounds == ()
 
 
+@pytest.mark.parametrize("kind", ["aob", "pi", "pi-ilc", "paper-law"])
+def test_a_contact_that_is_lost_is_found_again(kind, simulate):
+    """What looks after the contact stands in for whatever controller there is."""
+    run = simulate("lost-contact", f"controller.kind={kind}", duration=1.5, still=False)
+    assert run.summary["trip"] is None
+    assert np.isfinite(run.log.command).all()
+    assert run.log.touching[-200:].any()
+
+
 def test_an_unknown_controller_is_told_before_anything_is_done():
     scenario = load_scenario("paper", settings=["controller.kind=pid"])
     with pytest.raises(UnknownNameError, match="did you mean 'pi'"):

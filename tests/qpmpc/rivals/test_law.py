@@ -178,6 +178,35 @@ def test_what_winds_up_unwinds(kind, make, loop):
     assert np.abs(run.force[-1] - 1.0) < 0.6
 
 
+# --- another force, another command --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_another_force_that_counts_from_now_on_is_no_jump(kind, make, loop):
+    """At rest the setpoint goes along, so that nothing is to be done."""
+    controller = make(kind, CONFIG, "xz")
+    loop(controller, CONFIG, 100, setpoint=lambda k: 4.0, start=4.0)
+    controller.adopt(force=np.zeros(2))
+    controller.beat()
+    still = np.zeros(2)
+    for _ in range(20):
+        step = controller.step(still, still, np.zeros((9, 2)))
+        assert np.abs(step.command).max() < 1e-6
+        controller.prepare()
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_a_command_that_stood_in_is_the_one_that_was_applied(kind, make):
+    config = bounded(rate=(-0.5, 0.5))
+    controller = make(kind, config, "xz")
+    controller.reset(np.zeros(2))
+    still, far = np.zeros(2), np.full((9, 2), 5.0)
+    controller.step(still, still, far)
+    controller.adopt(command=np.array([3.0, -2.0]))
+    controller.prepare()
+    assert controller.step(still, still, far).command.tolist() == [3.5, -1.5]
+
+
 # --- refusals ------------------------------------------------------------------------------------
 
 
