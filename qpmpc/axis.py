@@ -87,7 +87,7 @@ def axis_model(
         quantities += ["acceleration", "jerk"]
     elif kind in RHYTHMIC:
         augmented = with_disturbance(augmented, contact.load, constant())
-        noise = np.append(noise, observer.input_drift)
+        noise, prior = np.append(noise, observer.input_drift), np.append(prior, np.inf)
         quantities += ["acceleration"]
     else:
         augmented = with_disturbance(augmented, contact.tissue, parabola(period))
@@ -103,7 +103,12 @@ def axis_model(
     uses_velocity = tool_velocity or not from_force
     if from_force and tool_velocity:
         noise[2] = observer.input_drift * period
-    force_noise = _FORCE_OF_THE_TOOL if kind in RHYTHMIC else observer.force_noise
+    # The force that the tool's motion causes is computed: nothing is wrong with single values.
+    force_noise, gate = (
+        (_FORCE_OF_THE_TOOL, np.inf)
+        if kind in RHYTHMIC
+        else (observer.force_noise, observer.force_gate)
+    )
     sensors = [force_noise, observer.velocity_noise][: 1 + uses_velocity]
     return AxisModel(
         augmented,
@@ -112,7 +117,7 @@ def axis_model(
         np.diag(noise**2),
         np.diag(np.square(sensors)),
         prior,
-        np.array([observer.force_gate, np.inf][: 1 + uses_velocity]),
+        np.array([gate, np.inf][: 1 + uses_velocity]),
         tuple(quantities),
     )
 

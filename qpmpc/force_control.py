@@ -184,7 +184,7 @@ class ForceController:
     def beat(self) -> None:
         """Tell that an R peak has come since the last step; heeded by ``beats`` alone."""
         if self.preview is not None:
-            self.preview.estimator.beat()
+            self.preview.beat()
 
     def measured(self, force: Array, velocity: Array) -> Array:
         """Return force and velocity as the observer takes them, valid until the next call."""
@@ -197,7 +197,7 @@ class ForceController:
         """Do what needs no measurement, after the command has been applied."""
         self.general.prepare()
         if self.preview is not None:
-            self.preview.estimator.advance()
+            self.preview.advance()
 
     def adopt(self, *, command: Array | None = None, force: Array | None = None) -> None:
         """Go on from what is so in place of what was decided or expected.

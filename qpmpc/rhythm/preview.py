@@ -50,6 +50,7 @@ class MotionPreview:
             ),
             synchronised=synchronised,
         )
+        self._behind = False
         self._spring, self._velocity = np.zeros(axes), np.zeros(axes)
         self.tool = np.zeros(axes)
         """F_tool of this cycle, ``(axes,)`` [N]: zero where the tool began."""
@@ -59,8 +60,20 @@ class MotionPreview:
     def reset(self) -> None:
         """Start anew, with the tool where it is."""
         self.estimator.reset()
+        self._behind = False
         for memory in (self._spring, self._velocity, self.tool, self.motion):
             memory[:] = 0.0
+
+    def advance(self) -> None:
+        """Go on to the next cycle; who leaves it out gets it done by the next `update`."""
+        if self._behind:
+            self.estimator.advance()
+            self._behind = False
+
+    def beat(self) -> None:
+        """Tell that an R peak has come since the last `update`."""
+        self.advance()
+        self.estimator.beat()
 
     def adopt(self, force: Array) -> None:
         """Let the whole force be ``force (axes,)`` [N], and forget how the tissue moved."""
@@ -74,6 +87,8 @@ class MotionPreview:
         Where the velocity is not finite the last one is taken to go on; where the force is not,
         the motion goes on as expected.
         """
+        self.advance()
+        self._behind = True
         self._spring += (0.5 * self._period * self._stiffness) * self._velocity
         if all_finite(velocity):
             self._velocity[:] = velocity
