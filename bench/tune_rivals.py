@@ -34,7 +34,7 @@ TRAINING = (("regular", 101), ("early-beats", 102))
 """Scenario and seed of each training motion."""
 DURATION = 6.0
 """Of each [s]."""
-FILLED, DESCENDED = 32, 32
+FILLED, DESCENDED = 48, 64
 """Evaluations: points that fill the ranges, and those of the simplex from the best of them."""
 RIVALS = ("pi", "pi-ilc", "aob", "paper-law")
 """In this order: what is learned rests on what ``pi`` found."""

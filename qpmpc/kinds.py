@@ -155,10 +155,10 @@ for _kind in (
         by_law(PiLaw),
         (
             Tunable("pi.proportional", 10.0, 300.0),
-            Tunable("pi.integral", 100.0, 3e4),
-            Tunable("pi.velocity", 50.0, 800.0),
-            Tunable("pi.feedforward", 0.5, 1.0),
-            Tunable("pi.filter_time", 5e-4, 1e-2),
+            Tunable("pi.integral", 300.0, 3e4),
+            Tunable("pi.velocity", 100.0, 1000.0),
+            Tunable("pi.feedforward", 0.3, 1.0),
+            Tunable("pi.filter_time", 3e-4, 1e-2),
         ),
     ),
     ControllerKind(
