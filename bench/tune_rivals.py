@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 
 from bench.tuning.cost import CHATTER, WORST, Cost, cost
 from bench.tuning.search import descend, fill
-from plant.cell import Cell, heart_programme
+from plant.cell import Cell
 from plant.errors import PlantError, UnstableSimulationError
 from qpmpc.errors import QpmpcError
 from qpmpc.kinds import ControllerKind, controller_kind
 from scenarios import Log, Scenario, ScenarioError, Schedule, Setpoint, load_scenario
-from scenarios.experiment import make_controller
+from scenarios.experiment import assemble, make_controller
 from scenarios.loop import control_loop
 from scenarios.motion import load_motion
-from scenarios.physics import physics_loop
 
 Array = NDArray[np.float64]
 
@@ -56,17 +55,10 @@ def exercise(name: str, seed: int, duration: float) -> Exercise:
     """Lay a training motion out."""
     scenario = load_scenario(name, top={"seed": seed, "duration": duration})
     config = scenario.cell
+    made = assemble(scenario, lambda *_: None)
     motion = load_motion(scenario.motion, duration, config.period, seed)
-    heart, library = heart_programme(config, motion), physics_loop().library
-    start = _setpoint(scenario).start
-
-    def cell() -> Cell:
-        return Cell(
-            config, motion, force=start, seed=seed, axes=scenario.axes, heart=heart, library=library
-        )
-
     held = -config.contact.stiffness * np.asarray(motion.position)
-    return Exercise(scenario, held, cell)
+    return Exercise(scenario, held, made.another_cell)
 
 
 def run(exercise: Exercise, settings: Mapping[str, float], kind: str) -> Cost:
@@ -87,7 +79,7 @@ def run(exercise: Exercise, settings: Mapping[str, float], kind: str) -> Cost:
     cell = exercise.cell()
     setpoint, schedule = _setpoint(scenario), Schedule(scenario)
     controller = make_controller(scenario, cell, setpoint, schedule)
-    log = Log(scenario.cycles, scenario.axes, tuple(controller.rows))
+    log = Log(scenario.cycles, scenario.axes, tuple(controller.rows), cell.joints)
     control_loop(
         cell,
         controller,
