@@ -6,7 +6,7 @@ import tyro
 
 from bench.verbs.bench import Bench
 from bench.verbs.compare import Compare
-from bench.verbs.lists import Backends, Scenarios
+from bench.verbs.lists import Backends, Controllers, Scenarios
 from bench.verbs.margins import Margins, Tune
 from bench.verbs.render import Render
 from bench.verbs.report import Report
@@ -25,5 +25,6 @@ Command = (
     | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Scenarios, tyro.conf.subcommand("scenarios")]
+    | Annotated[Controllers, tyro.conf.subcommand("controllers")]
     | Annotated[Backends, tyro.conf.subcommand("backends")]
 )

@@ -11,6 +11,7 @@ from bench.reference import CommandError
 from qpmpc import ForceController
 from qpmpc.config import FREE, BoundsConfig
 from qpmpc.errors import BackendSetupError
+from qpmpc.kinds import controller_kind
 from qpmpc.native import CompiledStepError
 from scenarios import Experiment, Scenario, Summary, run_experiment, summarise
 from scenarios.experiment import Report
@@ -92,7 +93,7 @@ def compare(
             comparison.rows.append(_refused(asked, str(error)))
             comparison.experiments.append(None)
             continue
-        comparison.rows.append(_row(experiment, schedule, errors[0].errors))
+        comparison.rows.append(row(experiment, schedule, errors[0].errors))
         comparison.experiments.append(experiment)
         keep(backend, experiment)
         if experiment.stopped is None:
@@ -113,7 +114,14 @@ def _unbounded(scenario: Scenario) -> Scenario:
     return replace(scenario, controller=controller, bounds_steps=())
 
 
-def _row(experiment: Experiment, schedule: Schedule, errors: NDArray[np.float64]) -> Row:
+def row(experiment: Experiment, schedule: Schedule, errors: NDArray[np.float64]) -> Row:
+    """Return what is told of a run, with stable keys.
+
+    Args:
+        experiment: see there.
+        schedule: of the bounds that violations are counted against.
+        errors: of the command, see `CommandError`; no row where the controller solves no QP.
+    """
     scenario, summary = experiment.scenario, summarise(experiment)
     known = errors[~np.isnan(errors).any(axis=1)]
     return _head(scenario) | {
@@ -124,13 +132,17 @@ def _row(experiment: Experiment, schedule: Schedule, errors: NDArray[np.float64]
             axis: {
                 "rms": figures["compensated"]["rms"],
                 "max": figures["compensated"]["max"],
+                "p99": figures["compensated"]["p99"],
+                "peak_to_peak": figures["compensated"]["peak_to_peak"],
                 "reduction_rms": figures["reduction"]["rms"],
+                "reduction_max": figures["reduction"]["max"],
             }
             for axis, figures in summary["axes"].items()
         },
         "violations": violations(experiment.log, schedule, scenario.cell.period),
         "saturation": summary["saturation"],
         "increment_rms": summary["increment_rms"],
+        "torque_increment_rms": summary["torque_increment_rms"],
         "status": summary["status"],
         "source": summary["source"],
         "compiled": summary["compiled"],
@@ -147,9 +159,10 @@ def _refused(scenario: Scenario, reason: str) -> Row:
 
 
 def _head(scenario: Scenario) -> Row:
+    kind = controller_kind(scenario.controller.kind)
     return {
-        "backend": scenario.backend,
-        "controller": "mpc",
+        "backend": scenario.backend if kind.takes_backend else None,
+        "controller": kind.name,
         "scenario": scenario.name,
         "seed": scenario.seed,
     }

@@ -24,7 +24,14 @@ from qpmpc.errors import BackendSetupError
 from scenarios import Scenario, ScenarioError
 from scenarios.approach import recovery
 from scenarios.cycle import ControlCycle
-from scenarios.experiment import Assembly, Report, assemble, hold_still, make_controller
+from scenarios.experiment import (
+    Assembly,
+    Report,
+    assemble,
+    hold_still,
+    make_controller,
+    require_backend,
+)
 from scenarios.loop import Stop
 
 BLOCK = 2000
@@ -99,6 +106,7 @@ def enter(
     """
     if scenario.setpoint.live is not None:
         raise ScenarioError("setpoint.live: what is sent cannot be shared by several runs at once")
+    require_backend(scenario, "backends")
     period = scenario.cell.period
     total = cycles_in_all(cycles)
     scenario = replace(scenario, duration=total * period)

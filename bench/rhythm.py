@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bench.rhythm_bound import prediction_bound
 from plant.sensors import SENSORS
 from qpmpc.force_control import ForceController
+from qpmpc.protocol import ForceControl
 from scenarios import load_scenario
 from scenarios.config import Scenario
 from scenarios.experiment import Assembly, assemble, hold_still
@@ -211,8 +212,9 @@ def _run(made: Assembly, scenario: Scenario) -> tuple[Array, Array]:
     return np.stack([rms[0], np.abs(error).max(axis=0), rms[1]]), log.tissue.copy()
 
 
-def _tell(controller: ForceController, motion: Array) -> None:
+def _tell(controller: ForceControl, motion: Array) -> None:
     """Let a controller with a preview know the motion of the tissue."""
+    assert isinstance(controller, ForceController)
     preview = controller.preview
     assert preview is not None
     ends = np.repeat(motion[-1:], preview.motion.shape[0], axis=0)

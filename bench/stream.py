@@ -14,7 +14,7 @@ from qpmpc import ForceController, Step
 from qpmpc.backends import Backend
 from qpmpc.controller import Compiled
 from scenarios import Scenario, ScenarioError, Schedule, Setpoint, control_loop
-from scenarios.experiment import Report, assemble
+from scenarios.experiment import Report, assemble, require_backend
 from scenarios.loop import Stop
 
 Array = NDArray[np.float64]
@@ -74,6 +74,7 @@ def record(scenario: Scenario, *, report: Report, stop: Stop) -> Stream | None:
             "setpoint.live: cycles are recorded as fast as they go, nobody can send a setpoint to "
             "them; give it by setpoint.file"
         )
+    require_backend(scenario, "a recording of QPs")
     made = assemble(scenario, report)
     recorder = _Recorder(made.cell, keep_joints=made.controller.bounds_joints)
     commands = np.zeros((scenario.cycles, len(scenario.axes)))

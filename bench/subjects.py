@@ -116,8 +116,8 @@ class Controlled:
         self._force = np.full((cycles, 3), np.nan)
         self._axes = ["xyz".index(axis) for axis in cycle.controller.axes]
         # Where there is a compiled step, it is what runs.
-        compiled = getattr(cycle.controller.general, "compiled", None)
-        self.path: str | None = "interpreted" if compiled is None else "compiled"
+        compiled = cycle.controller.about().compilation.used
+        self.path: str | None = "compiled" if compiled else "interpreted"
         self.solve = self.status = self.source = NONE
         self._measurement: Measurement = plant.measure()
         self._force[0] = plant.truth().force

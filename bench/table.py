@@ -9,6 +9,7 @@ from rich.table import Table
 
 from plant.interface import Cause, Trip
 from qpmpc.backends import BackendInfo
+from qpmpc.kinds import ControllerKind
 from scenarios.config import Scenario
 from scenarios.metrics import PAPER, Summary
 
@@ -208,6 +209,17 @@ def scenario_table(scenarios: Iterable[Scenario]) -> Table:
     )
     for s in scenarios:
         table.add_row(s.name, "".join(s.axes), f"{s.duration:g} s", s.backend, s.description)
+    return table
+
+
+def controller_table(kinds: Iterable[ControllerKind]) -> Table:
+    """The controllers, and where each comes from."""
+    table = Table(title="Controllers", box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
+    table.add_column("name", no_wrap=True)
+    for heading in ("what it is", "from", "keys"):
+        table.add_column(heading)
+    for kind in kinds:
+        table.add_row(kind.name, kind.summary, escape(kind.source), kind.table)
     return table
 
 

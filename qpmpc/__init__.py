@@ -54,6 +54,7 @@ from qpmpc.expectation import Ranges
 from qpmpc.fallback import Source
 from qpmpc.force_control import ForceController
 from qpmpc.joints import JointSpace
+from qpmpc.kinds import ControllerKind, controller_kind, controllers, register_controller
 from qpmpc.models import LinearModel, from_state_space, stack, zero_order_hold
 from qpmpc.native import CompiledStepError
 from qpmpc.observer import KalmanObserver
@@ -62,6 +63,7 @@ from qpmpc.penalties import ordered
 from qpmpc.prediction import Prediction, absolute_prediction, prediction
 from qpmpc.problem import Problem
 from qpmpc.program import QuadraticProgram
+from qpmpc.protocol import ForceControl
 from qpmpc.reference import ExponentialReference
 from qpmpc.residuals import Residuals
 from qpmpc.solver import Solution, Solver, solve
@@ -84,9 +86,11 @@ __all__ = [
     "ContactModel",
     "Controller",
     "ControllerConfig",
+    "ControllerKind",
     "Exosystem",
     "ExponentialReference",
     "Family",
+    "ForceControl",
     "ForceController",
     "JointSpace",
     "JointsConfig",
@@ -125,6 +129,8 @@ __all__ = [
     "combined",
     "constant",
     "contact_model",
+    "controller_kind",
+    "controllers",
     "force_cone",
     "from_state_space",
     "ordered",
@@ -133,6 +139,7 @@ __all__ = [
     "prediction",
     "ramp",
     "register",
+    "register_controller",
     "register_family",
     "solve",
     "stack",

@@ -10,6 +10,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
+from qpmpc.rivals.config import ActiveObserverConfig, LearningConfig, PaperLawConfig, PiConfig
+
 Disturbance = Literal["none", "constant", "ramp", "fused", "tracked", "beats"]
 Interval = tuple[float, float]
 """Lower and upper bound; infinite: none."""
@@ -185,8 +187,11 @@ class SolverConfig:
 
 @dataclass(frozen=True)
 class ControllerConfig:
-    """The receding-horizon force controller."""
+    """The force controller: the receding-horizon one, or a rival with a table of its own."""
 
+    kind: str = "mpc"
+    """Which controller, see ``pulsempc controllers``; the rivals read ``model``, ``observer``'s
+    noise, the bounds on command and rate, and the table that is theirs."""
     horizon: Annotated[int, Ge(1), Le(512)] = 8
     """N, predicted steps."""
     control_horizon: Annotated[int, Ge(1), Le(512)] | None = None
@@ -203,3 +208,7 @@ class ControllerConfig:
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     bounds: BoundsConfig = field(default_factory=BoundsConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)
+    pi: PiConfig = field(default_factory=PiConfig)
+    ilc: LearningConfig = field(default_factory=LearningConfig)
+    aob: ActiveObserverConfig = field(default_factory=ActiveObserverConfig)
+    paper_law: PaperLawConfig = field(default_factory=PaperLawConfig)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from time import perf_counter
 from typing import Literal, get_args
 
@@ -23,6 +23,7 @@ from qpmpc.joints import JointSpace
 from qpmpc.models import LinearModel, stack
 from qpmpc.observer import KalmanObserver
 from qpmpc.penalties import SoftBound, ordered
+from qpmpc.protocol import About
 from qpmpc.reference import ExponentialReference
 from qpmpc.rhythm.bounds import ShiftedBounds
 from qpmpc.rhythm.preview import MotionPreview
@@ -60,10 +61,7 @@ class ForceController:
         Raises:
             QpmpcError: an argument is out of range, or no observer or no backend can be had.
         """
-        self.axes = tuple(axes)
-        for name in self.axes:
-            if name not in get_args(Axis):
-                raise UnknownNameError("axis", name, get_args(Axis))
+        self.axes = check_axes(axes)
         for bound in moving:
             if bound not in _MOVABLE:
                 raise UnknownNameError("moving bound", bound, _MOVABLE)
@@ -79,7 +77,7 @@ class ForceController:
             period,
             tool_velocity=self.bounds_joints
             or "velocity" in moving
-            or bool(np.isfinite(self._band("velocity", bounds.velocity)).any()),
+            or bool(np.isfinite(axis_bounds("velocity", bounds.velocity, self.axes)).any()),
             construction=kind.construction,
         )
         model = stack([axis.model] * count)
@@ -137,6 +135,16 @@ class ForceController:
                 problem,
                 {b.name: b for b in soft if isinstance(b, OutputBound) and b.name != "velocity"},
             )
+
+    @property
+    def rows(self) -> Mapping[str, slice]:
+        """Where each bound's rows are in `Step.violation`."""
+        return self.general.problem.rows
+
+    def about(self) -> About:
+        """Return what there is to tell at the end of a run."""
+        form = {"name": self.general.problem.form, "reason": self.form_reason}
+        return About(self.general.compilation, form, self.general.solver.facts())
 
     def reset(self, force: Array) -> None:
         """Start at rest with the given contact force ``(n_axes,)`` [N]."""
@@ -239,7 +247,7 @@ class ForceController:
     def _hard_bounds(self, moving: Collection[str]) -> list[Bound]:
         result: list[Bound] = []
         for kind, band in ((CommandBound, self._bounds.command), (RateBound, self._bounds.rate)):
-            sides = self._band(kind.name, band)
+            sides = axis_bounds(kind.name, band, self.axes)
             low, high = _tightened(kind.name, sides[0], sides[1], 0.0)
             result.append(kind(low, high, moving=kind.name in moving))
         return result
@@ -257,7 +265,7 @@ class ForceController:
             ("force", model.C, bounds.force_margin),
             ("velocity", velocity, bounds.velocity_margin),
         ):
-            band = self._band(name, getattr(bounds, name))
+            band = axis_bounds(name, getattr(bounds, name), self.axes)
             if name in moving or np.isfinite(band).any():
                 low, high = _tightened(name, band[0], band[1], margin)
                 found[name] = OutputBound(name, output, low, high, 1.0, moving=name in moving)
@@ -314,19 +322,36 @@ class ForceController:
             ("velocity", "velocity", error / (config.model.stiffness * pace)),
             ("command", "acceleration", np.array([[-np.inf], [np.inf]])),
         ):
-            band = self._band(name, getattr(self._bounds, name))
+            band = axis_bounds(name, getattr(self._bounds, name), self.axes)
             ranges[quantity] = np.where(np.isfinite(band), band, far)
         ranges["jerk"] = ranges["acceleration"] / pace
         each = np.stack([ranges[quantity] for quantity in quantities])  # (n, 2, n_axes)
         return Ranges(each.transpose(2, 0, 1).reshape(-1, 2), ranges["force"].T)
 
-    def _band(self, name: str, band: Band) -> Array:
-        """Return lower and upper bound of each axis, ``(2, n_axes)``."""
-        each = [getattr(band, axis) for axis in self.axes] if isinstance(band, PerAxis) else None
-        sides = np.array(each if each is not None else [band] * len(self.axes), dtype=np.float64).T
-        if np.isnan(sides).any() or (sides[0] > sides[1]).any():
-            raise BoundsError(name, f"lower must not exceed upper, got {sides.T.tolist()}")
-        return sides
+
+def check_axes(axes: Sequence[Axis]) -> tuple[Axis, ...]:
+    """Return the axes as a tuple.
+
+    Raises:
+        UnknownNameError: one of them is none.
+    """
+    for name in axes:
+        if name not in get_args(Axis):
+            raise UnknownNameError("axis", name, get_args(Axis))
+    return tuple(axes)
+
+
+def axis_bounds(name: str, band: Band, axes: Sequence[Axis]) -> Array:
+    """Return lower and upper bound of each axis, ``(2, n_axes)``.
+
+    Raises:
+        BoundsError: they cross, or are no numbers; ``name`` is what they are called.
+    """
+    each = [getattr(band, axis) for axis in axes] if isinstance(band, PerAxis) else None
+    sides = np.array(each if each is not None else [band] * len(axes), dtype=np.float64).T
+    if np.isnan(sides).any() or (sides[0] > sides[1]).any():
+        raise BoundsError(name, f"lower must not exceed upper, got {sides.T.tolist()}")
+    return sides
 
 
 def _tightened(name: str, lower: Array, upper: Array, margin: float) -> tuple[Array, Array]:

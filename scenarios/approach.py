@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from plant.interface import Measurement
 from plant.tissue import worst_force
 from qpmpc.config import ModelConfig
-from qpmpc.force_control import ForceController
+from qpmpc.protocol import ForceControl
 from scenarios.config import ApproachConfig, Scenario
 from scenarios.consistency import band
 from scenarios.schedule import Schedule
@@ -201,7 +201,7 @@ class Recovery:
         measurement: Measurement,
         force: Array,
         wish: Array,
-        controller: ForceController,
+        controller: ForceControl,
     ) -> Array:
         """Look at a measurement; return the force to show the controller, ``(n_axes,)`` [N].
 
@@ -227,9 +227,7 @@ class Recovery:
             controller.adopt(force=force)
         return force
 
-    def command(
-        self, k: int, decided: Array, previous: Array, controller: ForceController
-    ) -> Array:
+    def command(self, k: int, decided: Array, previous: Array, controller: ForceControl) -> Array:
         """Return the command to apply in cycle ``k``, ``(n_axes,)`` [m/s^2].
 
         Args:

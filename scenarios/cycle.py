@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.interface import JointPlant, Measurement, Plant
-from qpmpc import ForceController, Step
+from qpmpc.protocol import ForceControl
+from qpmpc.step import Step
 from scenarios.approach import Recovery
 from scenarios.errors import ScenarioError
 from scenarios.live import LiveSetpoint
@@ -23,7 +24,7 @@ class ControlCycle:
     def __init__(
         self,
         plant: Plant | JointPlant,
-        controller: ForceController,
+        controller: ForceControl,
         setpoint: Setpoint | LiveSetpoint,
         schedule: Schedule,
         recovery: Recovery | None = None,
@@ -65,7 +66,7 @@ class ControlCycle:
             k: counted from the start of the run.
             measurement: of this cycle.
             deadline: what is left from now until the command has to be there [s]; without one, the
-                controller's own counts, see `ForceController.step`.
+                controller's own counts, see `ForceControl.step`.
         """
         due = None if deadline is None else perf_counter() + deadline
         controller, schedule, index = self.controller, self._schedule, self._index

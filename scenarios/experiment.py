@@ -13,6 +13,8 @@ from plant.own_arm import tool_arm
 from qpmpc.backends import Fact, backend_class
 from qpmpc.controller import Compilation
 from qpmpc.force_control import ForceController
+from qpmpc.kinds import controller_kind, controllers
+from qpmpc.protocol import ForceControl
 from scenarios.approach import recovery
 from scenarios.config import Scenario
 from scenarios.consistency import band
@@ -30,7 +32,7 @@ Array = NDArray[np.float64]
 Report = Callable[[str, int, int], None]
 """Called now and then with the stage, cycles done and cycles in all."""
 Shadow = Callable[[ForceController], Watch]
-"""From the controller of a run to what is shown its steps."""
+"""From the controller of a run, one that solves a QP, to what is shown its steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class Assembly:
     cell: Cell
     setpoint: Setpoint | LiveSetpoint
     schedule: Schedule
-    controller: ForceController
+    controller: ForceControl
     log: Log
     beats: NDArray[np.bool_]
     """In which cycles an ECG tells an R peak, ``(cycles,)``."""
@@ -81,7 +83,8 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
         ScenarioError, QpmpcError, PlantError: what the scenario asks for cannot be had.
     """
     period, cycles = scenario.cell.period, scenario.cycles
-    backend_class(scenario.backend)  # one that is not there is told before anything is done
+    controller_kind(scenario.controller.kind)  # what is not there is told before anything is done
+    backend_class(scenario.backend)
     motion = load_motion(scenario.motion, scenario.duration, period, scenario.seed)
     tool = tool_arm(scenario.cell)
     setpoint = _setpoint(scenario)
@@ -105,7 +108,7 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
 
     cell = another_cell()
     controller = make_controller(scenario, cell, setpoint, schedule)
-    log = Log(cycles, scenario.axes, tuple(controller.general.problem.rows), cell.joints)
+    log = Log(cycles, scenario.axes, tuple(controller.rows), cell.joints)
     return Assembly(
         cell, setpoint, schedule, controller, log, told_beats(motion, cycles), another_cell
     )
@@ -131,7 +134,7 @@ def hold_still(cell: Cell, setpoint: Setpoint | LiveSetpoint) -> None:
 
 def make_controller(
     scenario: Scenario, cell: Cell, setpoint: Setpoint | LiveSetpoint, schedule: Schedule
-) -> ForceController:
+) -> ForceControl:
     """Make the controller of a scenario, for the start of a run.
 
     Args:
@@ -142,7 +145,7 @@ def make_controller(
     Raises:
         ScenarioError, QpmpcError: what the scenario asks for cannot be had.
     """
-    controller = ForceController(
+    controller = controller_kind(scenario.controller.kind).make(
         scenario.controller,
         scenario.axes,
         scenario.cell.period,
@@ -154,6 +157,21 @@ def make_controller(
     start = [setpoint.start[AXES.index(axis)] for axis in scenario.axes]
     controller.reset(np.array(start) * touching)
     return controller
+
+
+def require_backend(scenario: Scenario, what: str) -> None:
+    """Refuse a scenario whose controller takes no backend; ``what`` asks for one.
+
+    Raises:
+        ScenarioError: it takes none. UnknownNameError: there is no such controller.
+    """
+    kind = controller_kind(scenario.controller.kind)
+    if not kind.takes_backend:
+        able = ", ".join(other.name for other in controllers() if other.takes_backend)
+        raise ScenarioError(
+            f"{what}: no effect on controller.kind = {kind.name}, which takes no backend "
+            f"(those that do: {able})"
+        )
 
 
 def run_experiment(
@@ -183,10 +201,16 @@ def run_experiment(
     cycles = scenario.cycles
     made = assemble(scenario, report)
     log = made.log
+    watch: Watch | None = None
+    if shadow is not None:
+        if not isinstance(made.controller, ForceController):
+            raise ScenarioError(
+                f"controller.kind: {scenario.controller.kind} solves no QP to watch"
+            )
+        watch = shadow(made.controller)
     looking_after = recovery(scenario, made.schedule)
     if looking_after is not None:
         log.contact_events = looking_after.watch.events
-    watch = shadow(made.controller) if shadow else None
     if held is None:
         still = made.another_cell()
         hold_still(still, made.setpoint)
@@ -226,6 +250,7 @@ def run_experiment(
             made.setpoint.close()
             log.setpoint_source[:] = made.setpoint.source
     ended = perf_counter()
+    about = made.controller.about()
     if controlled is None:
         controlled = ended
     return Experiment(
@@ -239,12 +264,9 @@ def run_experiment(
             "uncompensated": ended - controlled if held is None else 0.0,
         },
         made.setpoint.summary() if isinstance(made.setpoint, LiveSetpoint) else None,
-        made.controller.general.solver.facts(),
-        compilation=made.controller.general.compilation,
-        form={
-            "name": made.controller.general.problem.form,
-            "reason": made.controller.form_reason,
-        },
+        about.facts,
+        compilation=about.compilation,
+        form=about.form,
     )
 
 

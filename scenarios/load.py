@@ -19,6 +19,7 @@ from plant.sensors import SENSORS
 from scenarios.config import Scenario
 from scenarios.consistency import check_consistent
 from scenarios.errors import ScenarioError, ScenarioKeyError, UnknownScenarioError, nearest
+from scenarios.motion.config import MotionConfig
 
 Table = dict[str, Any]
 _AXES = ("x", "y", "z")
@@ -98,6 +99,7 @@ def check_scenario(table: Table, source: str) -> Scenario:
     _check_keys(table, Scenario, source)
     try:
         _fill_in_noise(table)
+        _fill_in_periods(table)
         # Strict, and through JSON: there an array may become a tuple, but "1" no number.
         scenario = _ADAPTER.validate_json(json.dumps(table, default=str), strict=True)
     except ValidationError as error:
@@ -123,6 +125,16 @@ def _fill_in_noise(table: Table) -> None:
     observer = table.setdefault("controller", {}).setdefault("observer", {})
     if isinstance(model, str) and model in SENSORS:
         observer.setdefault("force_noise", SENSORS[model].deviation)
+
+
+def _fill_in_periods(table: Table) -> None:
+    """Tell the learning controller the periods of the motion, unless the scenario does."""
+    motion, learning = table.get("motion", {}), table["controller"].setdefault("ilc", {})
+    default = MotionConfig()
+    for key, rate in (("heart_period", "heart_rate"), ("breath_period", "respiration_rate")):
+        told = motion.get(rate, getattr(default, rate))
+        if isinstance(told, int | float) and told > 0 and isinstance(learning, dict):
+            learning.setdefault(key, 1.0 / told)
 
 
 def _locate(name: str) -> Path:

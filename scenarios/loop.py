@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.interface import JointPlant, Plant
-from qpmpc.force_control import ForceController
+from qpmpc.protocol import ForceControl
 from qpmpc.step import Step
 from scenarios.approach import ContactState, Recovery
 from scenarios.cycle import ControlCycle
@@ -34,7 +34,7 @@ _EVERY = 250
 
 def control_loop(
     plant: Plant | JointPlant,
-    controller: ForceController,
+    controller: ForceControl,
     setpoint: Setpoint | LiveSetpoint,
     log: Log,
     cycles: int,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qpmpc.kinds import controller_kind
 from scenarios.approach import touch_down_cap
 from scenarios.config import Scenario
 from scenarios.experiment import Experiment
@@ -54,6 +55,7 @@ def summarise(experiment: Experiment) -> Summary:
     interrupted run) are None.
     """
     scenario, log = experiment.scenario, experiment.log
+    kind = controller_kind(scenario.controller.kind)
     end, counted = log.cycles, log.counted
     axes: Summary = {}
     for j, axis in enumerate(log.axes):
@@ -68,7 +70,8 @@ def summarise(experiment: Experiment) -> Summary:
     period, wall = scenario.cell.period, experiment.wall_time
     return {
         "scenario": scenario.name,
-        "backend": scenario.backend,
+        "controller": kind.name,
+        "backend": scenario.backend if kind.takes_backend else None,
         "backend_facts": [dict(facts) for facts in experiment.backend_facts if facts],
         "form": dict(experiment.form),
         "seed": scenario.seed,
@@ -106,6 +109,7 @@ def summarise(experiment: Experiment) -> Summary:
             axis: _rms(np.diff(log.command[:counted, j], prepend=0.0))
             for j, axis in enumerate(log.axes)
         },
+        "torque_increment_rms": _rms(np.diff(log.torque[:counted], axis=0)),
         "violations": violations(log, experiment.schedule, period),
         "status": log.status_counts(),
         "source": log.source_counts(),
@@ -117,12 +121,17 @@ def summarise(experiment: Experiment) -> Summary:
 
 
 def statistics(error: Array) -> dict[str, float | None]:
-    """RMS, largest magnitude and peak to peak of a force error ``(n,)`` [N]; None without data."""
+    """RMS, largest and 99th percentile of the magnitude, and peak to peak of a force error [N].
+
+    Of ``(n,)`` samples; None without data.
+    """
     if error.size == 0 or np.isnan(error).any():
-        return {"rms": None, "max": None, "peak_to_peak": None}
+        return dict.fromkeys(("rms", "max", "p99", "peak_to_peak"))
+    size = np.abs(error)
     return {
         "rms": _rms(error),
-        "max": float(np.abs(error).max()),
+        "max": float(size.max()),
+        "p99": float(np.percentile(size, 99)),
         "peak_to_peak": float(np.ptp(error)),
     }
 

@@ -7,16 +7,15 @@ from typing import Protocol
 
 from bench.report import write_report
 from qpmpc.controller import Compiled
+from qpmpc.kinds import controller_kind
 from scenarios import Scenario, ScenarioError, load_scenario
 
 FAILED = 1
 
 
-class Asked(Protocol):
-    """The options that say which experiment is meant."""
+class Options(Protocol):
+    """The options that change a scenario."""
 
-    @property
-    def scenario(self) -> str: ...
     @property
     def motion(self) -> Path | None: ...
     @property
@@ -31,11 +30,38 @@ class Asked(Protocol):
     def set(self) -> tuple[str, ...]: ...
 
 
-def load(asked: Asked, *, compiled: Compiled | None = None, **top: str | None) -> Scenario:
+class Asked(Options, Protocol):
+    """The options that say which experiment is meant."""
+
+    @property
+    def scenario(self) -> str: ...
+
+
+def load(
+    asked: Asked,
+    *,
+    compiled: Compiled | None = None,
+    controller: str | None = None,
+    **top: str | None,
+) -> Scenario:
+    return load_named(asked, asked.scenario, compiled=compiled, controller=controller, **top)
+
+
+def load_named(
+    asked: Options,
+    name: str,
+    *,
+    compiled: Compiled | None = None,
+    controller: str | None = None,
+    **top: str | None,
+) -> Scenario:
+    if controller is not None:
+        controller_kind(controller)  # an unknown one is told before anything is done
     keys = {"duration": asked.duration, "seed": asked.seed, **top}
-    chosen = (f"controller.solver.compiled={compiled}",) if compiled else ()
+    asked_for = {"controller.solver.compiled": compiled, "controller.kind": controller}
+    chosen = (f"{key}={value}" for key, value in asked_for.items() if value is not None)
     return load_scenario(
-        asked.scenario,
+        name,
         top={key: value for key, value in keys.items() if value is not None},
         motion=asked.motion,
         beats=asked.beats,

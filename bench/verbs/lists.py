@@ -1,11 +1,12 @@
-"""``pulsempc scenarios`` and ``pulsempc backends``: what there is."""
+"""``pulsempc scenarios``, ``pulsempc controllers`` and ``pulsempc backends``: what there is."""
 
 from dataclasses import dataclass
 
 from rich.console import Console
 
-from bench.table import backend_table, scenario_table
+from bench.table import backend_table, controller_table, scenario_table
 from qpmpc.backends import available
+from qpmpc.kinds import controllers
 from scenarios import load_scenario, shipped
 
 
@@ -19,6 +20,19 @@ class Scenarios:
     def run(self) -> int:
         """Print the table; return the exit code."""
         Console().print(scenario_table(load_scenario(name) for name in shipped()))
+        return 0
+
+
+@dataclass(frozen=True)
+class Controllers:
+    """List the controllers: the predictive one and its rivals, and where each comes from.
+
+    For example, `pulsempc controllers`.
+    """
+
+    def run(self) -> int:
+        """Print the table; return the exit code."""
+        Console().print(controller_table(controllers()))
         return 0
 
 

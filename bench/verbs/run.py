@@ -17,6 +17,7 @@ from bench.verbs._asked import FAILED, load, now, report
 from qpmpc.backends import backend_class
 from qpmpc.controller import Compiled
 from scenarios import run_experiment, summarise
+from scenarios.experiment import require_backend
 from scenarios.results import result_folder, to_json, write_run
 
 _arg = tyro.conf.arg
@@ -32,6 +33,8 @@ class Run:
 
     scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
     """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
+    controller: Annotated[str | None, _arg(metavar="NAME")] = None
+    """Which controller, see `pulsempc controllers`; the predictive one if nothing says another."""
     backend: Annotated[str | None, _arg(metavar="NAME")] = None
     """Solver, see `pulsempc backends`."""
     compiled: Compiled | None = None
@@ -55,7 +58,14 @@ class Run:
 
     def run(self) -> int:
         """Simulate, write, show; return the exit code."""
-        scenario = load(self, backend=self.backend, compiled=self.compiled)
+        scenario = load(
+            self,
+            backend=self.backend,
+            compiled=self.compiled,
+            controller=self.controller,
+        )
+        if self.backend is not None:
+            require_backend(scenario, f"--backend {self.backend}")
         backend_class(scenario.backend)  # an unknown one is told before anything else is done
         folder = self.out or Path("runs") / f"{scenario.name}-{now()}"
         with (

@@ -120,6 +120,8 @@ SOLVER_FIELDS = (
     "solver.form",
 )  # fmt: skip
 """What does not change the answer; tested below by what it does change."""
+RIVALS = ("kind", "pi.", "ilc.", "aob.", "paper_law.")
+"""What others than this controller read; tested with them, in ``rivals``."""
 FAULTY = ("observer.tissue_acceleration", "observer.tissue_jerk", "observer.patience",
           "observer.force_gate")  # fmt: skip
 """What matters where measurements are missing or wrong."""
@@ -179,7 +181,7 @@ def paths(record: Any, prefix: str = "") -> Iterator[str]:
         value = getattr(record, f.name)
         if is_dataclass(value):
             yield from paths(value, f"{prefix}{f.name}.")
-        else:
+        elif not (prefix + f.name).startswith(RIVALS):
             yield prefix + f.name
 
 

@@ -16,7 +16,7 @@ from scenarios.results import to_json
 
 CYCLES = 1000
 SETPOINT = np.array([1.0, 2.0, -10.0])
-KEYS = {"rms", "max", "peak_to_peak"}
+KEYS = {"rms", "max", "p99", "peak_to_peak"}
 PERCENTILES = {"p50", "p99", "p999", "max"}
 
 
@@ -61,7 +61,8 @@ def test_every_stable_key_is_there(summary):
     assert {
         "scenario", "backend", "backend_facts", "seed", "cycles", "axes", "paper", "timing",
         "saturation", "status", "source", "violations", "increment_rms", "complete", "stopped",
-        "versions", "trip", "counted", "force_peak", "physics",
+        "versions", "trip", "counted", "force_peak", "physics", "controller",
+        "torque_increment_rms",
     } <= set(summary)  # fmt: skip
     assert set(summary["axes"]) == {"x", "y", "z"}
     for figures in summary["axes"].values():
@@ -84,6 +85,7 @@ def test_every_stable_key_is_there(summary):
 
 def test_what_was_run_is_told(summary):
     assert (summary["scenario"], summary["backend"], summary["seed"]) == ("paper", "daqp", 0)
+    assert summary["controller"] == "mpc"
     assert summary["cycles"] == CYCLES
     assert summary["complete"] is True
     assert summary["status"] == {"solved": CYCLES - 10, "inaccurate": 10}
@@ -99,6 +101,7 @@ def test_errors_are_those_of_numpy(j, axis, complete, summary):
     for error, given in ((held, figures["uncompensated"]), (controlled, figures["compensated"])):
         assert given["rms"] == pytest.approx(np.sqrt(np.mean(error**2)))
         assert given["max"] == pytest.approx(np.max(np.abs(error)))
+        assert given["p99"] == pytest.approx(np.percentile(np.abs(error), 99))
         assert given["peak_to_peak"] == pytest.approx(error.max() - error.min())
     for key in ("rms", "max"):
         expected = 100 * (1 - figures["compensated"][key] / figures["uncompensated"][key])
@@ -167,6 +170,7 @@ def test_no_number_anywhere_in_an_error_makes_none():
     assert statistics(np.array([3.0, -4.0])) == {
         "rms": pytest.approx(np.sqrt(12.5)),
         "max": 4.0,
+        "p99": pytest.approx(3.99),
         "peak_to_peak": 7.0,
     }
 
