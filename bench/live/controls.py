@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 from qpmpc.backends import available
@@ -15,6 +17,20 @@ _NO_BOUND = 30.0
 """Where the slider of a bound on the pressing force means that there is none [N]."""
 _REACH = {"x": (-8.0, 8.0), "y": (-8.0, 8.0), "z": (-20.0, 0.0)}
 """Where the sliders of the setpoint begin and end [N]."""
+
+
+@dataclass(frozen=True)
+class _Slider:
+    """A slider for one key."""
+
+    key: str
+    label: str
+    span: tuple[float, float, float]
+    """From, to, step."""
+    of: Callable[[Scenario], float]
+    """Where it stands for a scenario."""
+    asked: Callable[[float], float | tuple[float, float]]
+    """Which value of the key it asks for where it stands."""
 
 
 class Controls:
@@ -77,60 +93,57 @@ class Controls:
         for axis in scenario.axes:
             now = getattr(scenario.setpoint, axis)
             low, high = _REACH[axis]
-            self._slider(
-                f"setpoint.{axis}", f"{axis} [N]", (min(low, now), max(high, now), 0.1), scenario,
-                lambda s, axis=axis: getattr(s.setpoint, axis),
+            self._slide(
+                scenario,
+                _Slider(
+                    f"setpoint.{axis}", f"{axis} [N]", (min(low, now), max(high, now), 0.1),
+                    attrgetter(f"setpoint.{axis}"), _as_it_is,
+                ),
             )  # fmt: skip
 
     def _figures(self, scenario: Scenario) -> None:
-        for key, label, span in (
-            ("force_weight", "log10 of force weight", (-2.0, 2.0, 0.1)),
-            ("increment_weight", "log10 of increment weight", (-5.0, 0.0, 0.1)),
-        ):
-            self._slider(
-                f"controller.{key}", label, span, scenario,
-                lambda s, key=key: round(math.log10(getattr(s.controller, key)), 1),
-                lambda value: 10.0**value,
-            )  # fmt: skip
-        self._slider(
-            "controller.reference_time", "reference time [ms]", (0.0, 100.0, 1.0), scenario,
-            lambda s: round(1e3 * s.controller.reference_time), lambda value: 1e-3 * value,
-        )  # fmt: skip
-        self._slider(
-            "controller.bounds.force.z", f"press at most [N] ({_NO_BOUND:g}: any)",
-            (1.0, _NO_BOUND, 0.5), scenario,
-            lambda s: min(_NO_BOUND, max(1.0, -band(s.controller.bounds.force, "z")[0])),
-            lambda value: (
-                -math.inf if value >= _NO_BOUND else -value,
-                band(scenario.controller.bounds.force, "z")[1],
-            ),
-        )  # fmt: skip
-        self._slider(
-            "controller.bounds.command", "command within +- [m/s^2]", (1.0, 40.0, 0.5), scenario,
-            lambda s: min(40.0, band(s.controller.bounds.command, "z")[1]),
-            lambda value: (-value, value),
-        )  # fmt: skip
-        self._slider(
-            "cell.contact.stiffness", "stiffness of tissue [N/m]", (500.0, 6000.0, 50.0), scenario,
-            lambda s: s.cell.contact.stiffness,
-        )  # fmt: skip
+        upper = band(scenario.controller.bounds.force, "z")[1]
 
-    def _slider(
-        self,
-        key: str,
-        label: str,
-        span: tuple[float, float, float],
-        scenario: Scenario,
-        of: Callable[[Scenario], float],
-        asked: Callable[[float], Any] = lambda value: value,
-    ) -> None:
-        low, high, step = span
+        def pressing(value: float) -> tuple[float, float]:
+            return (-math.inf if value >= _NO_BOUND else -value), upper
+
+        for slider in (
+            _Slider(
+                "controller.force_weight", "log10 of force weight", (-2.0, 2.0, 0.1),
+                lambda s: math.log10(s.controller.force_weight), _power,
+            ),
+            _Slider(
+                "controller.increment_weight", "log10 of increment weight", (-5.0, 0.0, 0.1),
+                lambda s: math.log10(s.controller.increment_weight), _power,
+            ),
+            _Slider(
+                "controller.reference_time", "reference time [ms]", (0.0, 100.0, 1.0),
+                lambda s: 1e3 * s.controller.reference_time, lambda value: 1e-3 * value,
+            ),
+            _Slider(
+                "controller.bounds.force.z", f"press at most [N] ({_NO_BOUND:g}: any)",
+                (1.0, _NO_BOUND, 0.5),
+                lambda s: -band(s.controller.bounds.force, "z")[0], pressing,
+            ),
+            _Slider(
+                "controller.bounds.command", "command within ± [m/s²]", (1.0, 40.0, 0.5),
+                lambda s: band(s.controller.bounds.command, "z")[1], lambda value: (-value, value),
+            ),
+            _Slider(
+                "cell.contact.stiffness", "stiffness of tissue [N/m]", (500.0, 6000.0, 50.0),
+                lambda s: s.cell.contact.stiffness, _as_it_is,
+            ),
+        ):  # fmt: skip
+            self._slide(scenario, slider)
+
+    def _slide(self, scenario: Scenario, slider: "_Slider") -> None:
+        low, high, step = slider.span
 
         def within(given: Scenario) -> float:
-            return min(max(float(of(given)), low), high)
+            return min(max(low, round(slider.of(given) / step) * step), high)
 
-        widget = self._gui.add_slider(label, low, high, step, within(scenario))
-        self._add(key, widget, within, asked)
+        widget = self._gui.add_slider(slider.label, low, high, step, within(scenario))
+        self._add(slider.key, widget, within, slider.asked)
 
     def _add(
         self,
@@ -141,11 +154,20 @@ class Controls:
     ) -> None:
         self._shown[key] = widget, of
 
-        @widget.on_update
-        def _(event: Any) -> None:
+        def ask(event: Any) -> None:
             if event.client is not None:  # by somebody, not by `show`
                 self._ask(Set(key, asked(widget.value)))
+
+        widget.on_update(ask)
 
     def _button(self, label: str, act: Act) -> None:
         button = self._gui.add_button(label)
         button.on_click(lambda _: self._ask(act))
+
+
+def _as_it_is(value: float) -> float:
+    return value
+
+
+def _power(value: float) -> float:
+    return float(10.0**value)

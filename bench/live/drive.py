@@ -10,7 +10,7 @@ BEHIND = 0.25
 """How far the experiment may fall behind the clock before it lets the time go [s]."""
 _REST = 10_000_000
 """Between two looks for a command where no cycle is run [ns]."""
-_MEASURED = 0.5
+_MEASURED = 1.0
 """Time over which the speed is measured [s]."""
 _EVERY = 4
 """Cycles between two looks for a command."""

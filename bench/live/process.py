@@ -136,5 +136,3 @@ def _serve(scenario: Scenario, out: Path, memory: Any, pipe: Connection) -> None
     with quiet_memory():
         Drive(engine, ring, SystemClock(), look).run()
     engine.close()
-
-

@@ -33,11 +33,11 @@ class Scenery:
         self._tissue: Any = None
         for i in range(1, model.nbody):
             self._frames[i] = api.add_frame(f"/cell/{model.body(i).name}", show_axes=False)
-        for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
-            self._add(api, int(i))
-        for i in np.flatnonzero(model.geom_bodyid > 0):
-            if model.geom_type[i] != mujoco.mjtGeom.mjGEOM_MESH:
-                self._add_solid(api, int(i))
+        for i in range(model.ngeom):
+            if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH:
+                self._add(api, i)
+            elif model.geom_bodyid[i] > 0:
+                self._add_solid(api, i)
         self._arrow = api.add_arrows(
             "/force", np.zeros((1, 2, 3), np.float32), _FORCE,
             shaft_radius=0.005, head_radius=0.011, head_length=0.025, visible=False,
@@ -121,5 +121,5 @@ class Scenery:
         forwards = np.array(
             [np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)]
         )
-        server.initial_camera.position = middle - 1.7 * forwards
+        server.initial_camera.position = middle - 1.45 * forwards
         server.initial_camera.look_at = middle

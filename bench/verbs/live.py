@@ -65,12 +65,15 @@ class Live:
 
         scenario = load(self, backend=self.backend, controller=self.controller)
         port = free_port(self.host, self.port)
-        with ctrl_c() as interrupt, Remote(scenario, self.out) as remote:
-            with listen(self.host, port) as server:
-                page = Page(server, scenario, remote)
-                url = f"http://{self.host}:{port}"
-                print(f"pulsempc: {scenario.name} at {url}; Ctrl-C ends it", file=sys.stderr)
-                if self.open:
-                    webbrowser.open(url)
-                page.show(until=interrupt)
+        with (
+            ctrl_c() as interrupt,
+            Remote(scenario, self.out) as remote,
+            listen(self.host, port) as server,
+        ):
+            page = Page(server, scenario, remote)
+            url = f"http://{self.host}:{port}"
+            print(f"pulsempc: {scenario.name} at {url}; Ctrl-C ends it", file=sys.stderr)
+            if self.open:
+                webbrowser.open(url)
+            page.show(until=interrupt)
         return INTERRUPTED

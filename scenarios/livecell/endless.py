@@ -1,6 +1,7 @@
 """A motion that goes on for ever: its end passes over into its beginning; and a beat in between."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def early_beat(config: CellConfig, motion: Motion, regular: Programme, now: int)
     turn = np.floor(start / duration)
     known = (motion.beats[None] + duration * (turn + np.arange(-1, 3))[:, None]).ravel()
     earliest = start + _LEAD + _BEFORE
-    for before, after in zip(known[:-1], known[1:], strict=True):
+    for before, after in pairwise(known):
         peak = max(before + _LEAST_GAP, earliest)
         if peak + _LEAST_REST <= after and peak < start + BEAT_WITHIN:
             break

@@ -15,6 +15,7 @@ from plant.own_arm import tool_arm
 from qpmpc.config import PerAxis
 from qpmpc.fallback import Source
 from qpmpc.kinds import controller_kind
+from qpmpc.protocol import ForceControl
 from qpmpc.status import Status
 from qpmpc.step import Step
 from scenarios.approach import ContactState, Recovery, recovery
@@ -92,7 +93,7 @@ class Engine:
         self._events: list[Event] = []
         self._recording: Recording | None = None
         self.paused = False
-        self._steps_asked = 0
+        self._steps_asked = self._k = self._fails_until = 0
         self._begin()
 
     @property
@@ -180,9 +181,7 @@ class Engine:
         self._made_stiffness = self._stiffness
         self._joints = self._cell.joint_space(np.zeros(3), np.zeros(3))
         self._index = np.array([AXES.index(axis) for axis in scenario.axes])
-        self._wish = RunningWish(
-            setpoint, scenario.axes, scenario.controller.horizon, self.period
-        )
+        self._wish = RunningWish(setpoint, scenario.axes, scenario.controller.horizon, self.period)
         self._told = told_beats(self._motion, len(self._motion.time))
         self._early: EarlyBeat | None = None
         cycle, looking_after = self._cycle_of(scenario, another_controller(scenario, self._joints))
@@ -195,13 +194,11 @@ class Engine:
         self._ring.tell(time=0.0, tripped=False)
 
     def _cycle_of(
-        self, scenario: Scenario, controller: object
+        self, scenario: Scenario, controller: ForceControl
     ) -> tuple[ControlCycle, Recovery | None]:
         schedule = Schedule(scenario)
         self._low, self._high = schedule.first_command
-        cycle = ControlCycle(
-            self._cell, controller, self._wish, schedule, beats=self._told  # type: ignore[arg-type]
-        )
+        cycle = ControlCycle(self._cell, controller, self._wish, schedule, beats=self._told)
         return cycle, recovery(scenario, schedule)
 
     # ---- commands
@@ -270,9 +267,7 @@ class Engine:
             self._tell(Kind.REFUSED, "recording already")
             return
         present = dict(zip(self.scenario.axes, self._wish.present.tolist(), strict=True))
-        scenario = replace(
-            self.scenario, setpoint=replace(self.scenario.setpoint, **present)
-        )
+        scenario = replace(self.scenario, setpoint=replace(self.scenario.setpoint, **present))
         about = self._handover.cycle.controller.about()
         self._recording = Recording(scenario, self._cell.joints, about.compilation)
         self._tell(Kind.TOLD, f"recording, {LONGEST:g} s at most")

@@ -108,7 +108,5 @@ def _contact_events(log: Log, scenario: Scenario) -> list[ContactEvent]:
         if "z" in log.axes:
             wish = float(log.setpoint[lost + int(seen[0]), log.axes.index("z")])
             meant = -wish <= scenario.contact_found_above
-        events.append(
-            ContactEvent(int(lost), None if found == log.cycles else int(found), meant)
-        )
+        events.append(ContactEvent(int(lost), None if found == log.cycles else int(found), meant))
     return events

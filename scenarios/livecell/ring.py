@@ -76,7 +76,8 @@ class Ring:
 
     def next_row(self) -> Array:
         """Return the row to be written, which `seal` then shows."""
-        return self.rows[int(self.head[0]) % ROWS]
+        row: Array = self.rows[int(self.head[0]) % ROWS]
+        return row
 
     def seal(self) -> None:
         """Count the row that was written."""

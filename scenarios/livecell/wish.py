@@ -26,7 +26,8 @@ class RunningWish:
     @property
     def present(self) -> Array:
         """The setpoint of this cycle, ``(n_axes,)`` [N]."""
-        return self._preview[0]
+        present: Array = self._preview[0]
+        return present
 
     def aim(self, wished: SetpointConfig) -> None:
         """Wish for another force."""

@@ -1,4 +1,4 @@
-"""What is made beside the running experiment: checked scenarios, controllers, beats, run folders."""
+"""What is made beside a running experiment: checked scenarios, controllers, beats, folders."""
 
 import threading
 import tomllib
