@@ -108,6 +108,7 @@ class Page:
             + (", <b>tripped</b>" if ring.told("tripped") else ""),
             f"{html.escape(s.controller.kind)} / {html.escape(s.backend)}{coming}; "
             f"command from {source} ({status})",
+            "force {:.2f}, {:.2f}, {:.2f} N".format(*last[COLUMNS["measured"]]),
             f"largest force error of the last second {worst:.2f} N, "
             f"slowest cycle {1e6 * rows[:, COLUMNS['cycle_time']].max():.0f} us",
         ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -52,7 +53,7 @@ def driven():
 def test_cycles_begin_a_period_apart(driven):
     run = driven(3000, lambda _: MS // 3)
     begun = run.engine.begun
-    assert {b - a for a, b in zip(begun, begun[1:], strict=False)} == {MS}
+    assert {b - a for a, b in pairwise(begun)} == {MS}
     assert run.ring.told("speed") == pytest.approx(1.0, abs=2e-3)
     assert run.ring.told("lost") == 0.0
 

@@ -93,9 +93,12 @@ def test_nothing_is_left_where_it_is_killed(tmp_path, environment):
 
 
 def test_nobody_else_is_let_in(tmp_path, environment):
-    with running(tmp_path, environment) as (_, port):
-        with socket.socket() as other, pytest.raises(OSError, match="refused"):
-            other.connect(("127.0.0.2", port))
+    with (
+        running(tmp_path, environment) as (_, port),
+        socket.socket() as other,
+        pytest.raises(OSError, match="refused"),
+    ):
+        other.connect(("127.0.0.2", port))
 
 
 def test_it_is_told_where_the_experiment_dies(tmp_path, environment):
