@@ -44,7 +44,7 @@ class Plots:
                 uplot.Series(label="solve, slowest of ten", stroke=_COLOURS["y"], width=1.5),
                 uplot.Series(label="period", stroke=_GREY, width=1.0, dash=(4.0, 3.0)),
             ),
-            title="time of the controller [us]",
+            title="time of the controller [ms]",
             aspect=1.9,
             scales={"x": uplot.Scale(time=False)},
         )
@@ -62,6 +62,6 @@ class Plots:
             bins, time = bins[keep], time[keep]
         force, wished = bins[:, -1, COLUMNS["measured"]], bins[:, -1, COLUMNS["setpoint"]]
         self._force.data = (time, *force.T.copy(), *wished.T.copy())
-        slowest = 1e6 * bins.max(axis=1)
+        slowest = 1e3 * bins.max(axis=1)
         cycle, solve = (slowest[:, COLUMNS[name]].ravel() for name in ("cycle_time", "solve_time"))
-        self._time.data = (time, cycle, solve, np.full_like(time, 1e6 * self._period))
+        self._time.data = (time, cycle, solve, np.full_like(time, 1e3 * self._period))
