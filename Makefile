@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # One thread for linear algebra: matrices are small, and a second thread only adds jitter.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test test-browser test-hostile test-live test-peers bench-peers docs lint format setup clean help
+.PHONY: demo test test-slow test-browser test-hostile test-live test-peers bench-peers docs lint format setup clean help
 
 help:  ## list the verbs
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -18,6 +18,9 @@ test: $(VENV)/.installed-dev  ## set up and run the test suite
 
 test-browser: $(VENV)/.installed-browser  ## the report in headless Chromium (CHROMIUM=path; .ci/chromium gets one)
 	$(BIN)/python -m pytest -m browser -rPs tests/bench/browser
+
+test-slow: $(VENV)/.installed-dev  ## what takes longer than the suite may
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 test-hostile: $(VENV)/.installed-dev  ## 13,000 hostile command sequences against the protection
 	$(BIN)/python -m pytest -n 2 -m hostile -rP tests/plant/test_protection.py tests/plant/test_redundant.py

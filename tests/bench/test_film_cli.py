@@ -15,6 +15,8 @@ from PIL import Image
 
 from scenarios.film.offscreen import NoRendererError, renderer
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def run_folder(call, tmp_path_factory):

@@ -20,6 +20,8 @@ from qpmpc.margins import Loop, force_law
 from scenarios import ScenarioError, load_scenario, run_experiment, summarise
 from scenarios.motion import load_motion
 
+pytestmark = pytest.mark.slow
+
 
 def pulsempc(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(

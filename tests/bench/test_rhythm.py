@@ -10,6 +10,8 @@ import pytest
 from bench.rhythm import KNOWN, main
 from bench.rhythm_bound import prediction_bound
 
+pytestmark = pytest.mark.slow
+
 
 def wandering(rng: np.random.Generator, pole: float, n: int) -> np.ndarray:
     x = np.zeros(n)

@@ -16,6 +16,8 @@ from scenarios.physics import physics_loop
 
 from . import arm_files, hostile
 
+pytestmark = pytest.mark.slow
+
 PERIOD, DAMPING = 1e-3, 20.0
 
 

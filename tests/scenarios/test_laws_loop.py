@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PUSHING = "cell.contact.unilateral=true"
 LAWS = {
     "spring": ("cell.contact.law=spring",),

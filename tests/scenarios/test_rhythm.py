@@ -12,6 +12,8 @@ from scenarios.experiment import assemble, told_beats
 from scenarios.loop import control_loop
 from scenarios.motion import load_motion
 
+pytestmark = pytest.mark.slow
+
 AGILE = ("controller.reference_time=0.002", "controller.increment_weight=0.001")
 
 

@@ -12,6 +12,8 @@ from qpmpc.rhythm.estimator import MotionEstimator
 
 from .hearts import NOISE, PERIOD, foretell, motion, noise, pulses, rms
 
+pytestmark = pytest.mark.slow
+
 both = pytest.mark.parametrize("synchronised", [True, False], ids=["beats", "tracked"])
 
 

@@ -16,6 +16,8 @@ from qpmpc.rhythm.preview import MotionPreview
 
 from .hearts import PERIOD, foretell, motion, noise, pulses
 
+pytestmark = pytest.mark.slow
+
 STIFFNESS, DAMPING = 2500.0, 20.0
 AXES = ("x", "y", "z")
 SET = np.array([1.0, 2.0, -10.0])

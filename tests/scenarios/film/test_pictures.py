@@ -22,6 +22,8 @@ from scenarios.film.render import frames
 from scenarios.scene.camera import CLOSE, towards
 from scenarios.scene.scene import FIELD_OF_VIEW, Scene
 
+pytestmark = pytest.mark.slow
+
 BOX = Box(0, 0, 640, 480)
 
 

@@ -16,6 +16,8 @@ from scenarios.livecell.ring import COLUMNS, SIZE, Ring
 from scenarios.livecell.workshop import Workshop
 from scenarios.motion import load_motion
 
+pytestmark = pytest.mark.slow
+
 IN_SYSTOLE = 1550
 """A cycle in which the tissue moves fast."""
 SWITCH = round(1e3 * (SETTLING + PASSING)) + 2

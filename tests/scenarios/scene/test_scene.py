@@ -15,6 +15,8 @@ from scenarios.scene.shells import arm_shells, instrument, pad_holder
 from scenarios.scene.skin import skin
 from scenarios.scene.tissue import RADIUS, Tissue
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
