@@ -145,7 +145,7 @@ def test_a_controller_that_cannot_be_made_costs_most(short):
 
 
 def test_tuning_betters_what_it_tunes(short, monkeypatch):
-    for name, count in (("FILLED", 4), ("DESCENDED", 5)):
+    for name, count in (("STARTS", 2), ("FILLED", 3), ("DESCENDED", 5)):
         monkeypatch.setattr(tune_rivals, name, count)
     values, told = tune(controller_kind("aob"), short, {}, seed=0)
     assert set(values) == {t.key for t in controller_kind("aob").tunables}
@@ -153,7 +153,9 @@ def test_tuning_betters_what_it_tunes(short, monkeypatch):
         assert tunable.low <= values[tunable.key] <= tunable.high
     assert (told["runs"][0]["motion"], told["runs"][0]["seed"]) == ("regular", 101)
     assert told["cost"] == pytest.approx(mean_cost(short, values, "aob")[0], rel=1e-9)
-    assert told["cost"] <= told["filled"]["cost"] < WORST
+    assert told["cost"] == min(each["cost"] for each in told["searches"]) < WORST
+    assert len(told["searches"]) == 2
+    assert told["searches"][0] != told["searches"][1]
 
 
 def test_bad_arguments_are_told_in_one_line(capsys):
@@ -176,6 +178,7 @@ def test_every_rival_was_tuned_by_the_procedure_as_it_is():
     assert set(TUNED["controllers"]) == set(RIVALS)
     assert {kind.name for kind in controllers()} - set(RIVALS) == {"mpc"}
     assert TUNED["evaluations"] == {
+        "starts": tune_rivals.STARTS,
         "fill": tune_rivals.FILLED,
         "descend": tune_rivals.DESCENDED,
     }
