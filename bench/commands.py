@@ -7,6 +7,7 @@ import tyro
 from bench.verbs.bench import Bench
 from bench.verbs.compare import Compare
 from bench.verbs.lists import Backends, Controllers, Scenarios
+from bench.verbs.live import Live
 from bench.verbs.margins import Margins, Tune
 from bench.verbs.render import Render
 from bench.verbs.report import Report
@@ -20,6 +21,7 @@ Command = (
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Live, tyro.conf.subcommand("live")]
     | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Margins, tyro.conf.subcommand("margins")]
     | Annotated[Tune, tyro.conf.subcommand("tune")]

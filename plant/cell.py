@@ -60,6 +60,7 @@ class Cell:
         library: ctypes.CDLL | None = None,
         tool: Arm | None = None,
         contraction: FloatArray | None = None,
+        repeats: bool = False,
     ) -> None:
         """Build both arms and put them into contact.
 
@@ -77,6 +78,7 @@ class Cell:
             tool: the arm of `plant.own_arm.tool_arm` for this configuration, where it is at hand.
             contraction: how far the heart is contracted at the control instants, ``(n,)``, from 0
                 to 1; for ``contact.systolic_stiffening``, which needs it.
+            repeats: whether the motion begins anew after its last sample, again and again.
 
         Raises:
             UnreachableMotionError: Robot_Heart cannot play the motion.
@@ -88,7 +90,10 @@ class Cell:
         self._load = np.asarray(force, dtype=np.float64)
         _check_start(config.contact, self._load)
         self._factor = _factor(config.contact, contraction, motion.position.shape[0])
-        self._stiffens = np.diff(self._factor, append=self._factor[-1:]) / config.substeps
+        after = self._factor[:1] if repeats else self._factor[-1:]
+        self._stiffens = np.diff(self._factor, append=after) / config.substeps
+        self._scale = self._wanted_scale = 1.0
+        self._repeats, self._substeps = repeats, config.substeps
         self.period = config.period
         self.cycles = motion.position.shape[0]
         """How many cycles the motion lasts."""
@@ -127,7 +132,9 @@ class Cell:
         block["substeps"] = config.substeps
         self._peak = block["peak"]
         self._contact = Contact(block, self.model, data, config.contact)
-        self._guard = Guard(config, block, (self.model, data), self._contact, (self._heart, tool))
+        self._guard = Guard(
+            config, block, (self.model, data), self._contact, (self._heart, tool), repeats=repeats
+        )
         self._config = config.contact
         self._stepper = self._steps(library, block, flaws)
         # Views into MuJoCo's memory: looking them up costs as much as a small matrix product.
@@ -212,7 +219,7 @@ class Cell:
         Raises:
             PlantError: the motion has ended; or, without protection, the command is not finite.
         """
-        if self._cycle >= self.cycles:
+        if self._cycle >= self.cycles and not self._repeats:
             raise PlantError(f"the motion ended after {self.cycles} cycles")
         guard, usable = self._guard, self._usable(command)
         guard.heard(usable)
@@ -232,12 +239,52 @@ class Cell:
             sent = torque, self._command * self._follows
             self._tool_ctrl[:], self._asked = self._line.carry(self._cycle, sent)
         guard.expect(self._cycle, self._asked)
-        np.add(self._heart.ctrl[self._cycle], self._lean, out=self._heart_ctrl)
+        row = self._cycle % self.cycles
+        np.add(self._heart.ctrl[row], self._lean, out=self._heart_ctrl)
         self._peak[()] = 0.0
-        self._contact.beat(self._factor[self._cycle], self._stiffens[self._cycle])
+        self._stiffen(row)
         self._stepper.advance()
         guard.notice()
         self._cycle += 1
+
+    def _stiffen(self, row: int) -> None:
+        """Tell the contact the tissue's stiffness in the coming period."""
+        scale, wanted, factor = self._scale, self._wanted_scale, float(self._factor[row])
+        step = float(self._stiffens[row]) * wanted
+        if wanted != scale:
+            step += factor * (wanted - scale) / self._substeps
+            self._scale = wanted
+        self._contact.beat(factor * scale, step)
+
+    def stiffen(self, scale: float) -> None:
+        """Let the tissue be ``scale`` times as stiff as configured at the end of the next `apply`.
+
+        It gets there linearly. The damping is left as it is.
+
+        Raises:
+            PlantError: the scale is not positive.
+        """
+        if not 0.0 < scale < math.inf:
+            raise PlantError(f"the tissue cannot be {scale:g} times as stiff")
+        self._contact.let_vary()
+        self._wanted_scale = scale
+
+    def silence(self, cycles: int) -> None:
+        """Let the force sensor say nothing in the next ``cycles`` measurements."""
+        self._sensor.silence(cycles)
+
+    def follow(self, heart: Programme) -> None:
+        """Let Robot_Heart follow another programme of the same length from the next `apply` on.
+
+        Raises:
+            PlantError: it has another length.
+        """
+        if heart.ctrl.shape != self._heart.ctrl.shape:
+            raise PlantError(
+                f"the programme has {len(heart.ctrl)} periods, the motion {self.cycles}"
+            )
+        self._heart = heart
+        self._guard.follow(heart)
 
     def _steps(
         self, library: ctypes.CDLL | None, block: Memory, flaws: ImperfectionConfig

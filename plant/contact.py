@@ -137,6 +137,13 @@ class Contact:
         if self._renewed:
             self.follow(0)
 
+    def let_vary(self) -> None:
+        """Renew the law from step to step from now on, as `beat` may tell any stiffness."""
+        self._block["varies"] = True
+        if not self._renewed:
+            self._renewed[()] = True
+            self.follow(0)
+
     def beat(self, factor: float, step: float) -> None:
         """Take the factor of the stiffness for this control instant, and its change a step."""
         self._factor[()], self._factor_step[()] = factor, step

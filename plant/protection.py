@@ -71,6 +71,8 @@ class Guard:
         engine: tuple[Any, Any],
         contact: Contact,
         arms: tuple[Programme, Arm],
+        *,
+        repeats: bool = False,
     ) -> None:
         """Derive limits and gains.
 
@@ -80,6 +82,7 @@ class Guard:
             engine: model and data of MuJoCo.
             contact: released at a trip.
             arms: Robot_Heart's programme, and Robot_Tool.
+            repeats: whether the programme begins anew at its end.
         """
         heart, tool = arms
         own, lag = config.protection, config.imperfections.torque_lag
@@ -109,7 +112,8 @@ class Guard:
         # Views: looking them up costs as much as a small matrix product.
         self._mode, self._asked = block["mode"], block["asked"]
         self._angles = heart.angles
-        self._turns = np.diff(heart.angles, axis=0, append=heart.angles[-1:]) / config.substeps
+        self._turns = _turns(heart, config.substeps, repeats=repeats)
+        self._repeats = repeats
         self._heart, self._heart_step = block["heart"], block["heart_step"]
         self._own = own_joints = slice(HEART_JOINTS, HEART_JOINTS + tool.joints)
         self._q, self._speeds = data.qpos[own_joints], data.qvel[own_joints]
@@ -151,6 +155,11 @@ class Guard:
             self._contact.follow(0)
             self.retract()
 
+    def follow(self, heart: Programme) -> None:
+        """Compare Robot_Heart with another programme from the next period on."""
+        self._angles = heart.angles
+        self._turns = _turns(heart, self._substeps, repeats=self._repeats)
+
     def expect(self, cycle: int, asked: FloatArray) -> None:
         """Take in what the coming period is for, or go on with the way back.
 
@@ -161,7 +170,8 @@ class Guard:
         self._cycle = cycle
         if self._mode == WATCHING:
             self._asked[:] = asked
-            self._heart[:], self._heart_step[:] = self._angles[cycle], self._turns[cycle]
+            row = cycle % len(self._angles)
+            self._heart[:], self._heart_step[:] = self._angles[row], self._turns[row]
         elif self._mode == RETRACTING:
             self._aim()
 
@@ -312,6 +322,13 @@ class Guard:
                     speeds / max(1.0, float((np.abs(speeds) / m["joint_speed"]).max()))
                 )
             A[:, blocked] = 0.0
+
+
+def _turns(heart: Programme, substeps: int, *, repeats: bool) -> FloatArray:
+    """Change of the programme's angles in a physics step, ``(n, 6)`` [rad]."""
+    after = heart.angles[:1] if repeats else heart.angles[-1:]
+    turns: FloatArray = np.diff(heart.angles, axis=0, append=after) / substeps
+    return turns
 
 
 def close_brakes(model: Any, data: Any, joints: int) -> None:

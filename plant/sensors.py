@@ -66,6 +66,8 @@ class ForceSensor:
         self._bias = np.zeros(3)
         self._silent = 0
         """Readings for which the sensor stays silent."""
+        self._silenced = 0
+        """The same, as it was told by `silence`."""
         self._gone = np.zeros(_BLOCK, dtype=np.bool_)
         self._block = np.empty((_BLOCK, 3))
         self._next = _BLOCK
@@ -77,6 +79,9 @@ class ForceSensor:
         reading: FloatArray = force + self._block[self._next]
         gone = self._gone[self._next]
         self._next += 1
+        if self._silenced:
+            self._silenced -= 1
+            gone = True
         if gone:
             reading.fill(np.nan)
         elif self._resolution:
@@ -84,6 +89,10 @@ class ForceSensor:
             np.rint(reading, out=reading)
             reading *= self._resolution
         return reading
+
+    def silence(self, readings: int) -> None:
+        """Let there be nothing in the next ``readings``; the noise of those after is as it was."""
+        self._silenced = max(self._silenced, readings)
 
     def _draw(self) -> None:
         """Draw what the next readings add to the force, and when there are none."""

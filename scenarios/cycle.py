@@ -1,6 +1,7 @@
 """From measurement to command: what a cycle does between reading the plant and acting on it."""
 
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +11,18 @@ from qpmpc.protocol import ForceControl
 from qpmpc.step import Step
 from scenarios.approach import Recovery
 from scenarios.errors import ScenarioError
-from scenarios.live import LiveSetpoint
 from scenarios.schedule import Schedule
-from scenarios.setpoint import Setpoint
 
 Array = NDArray[np.float64]
 _AXIS = {"x": 0, "y": 1, "z": 2}
+
+
+class Wish(Protocol):
+    """Where a cycle's setpoint comes from."""
+
+    def preview(self, k: int) -> Array:
+        """Return s(k) ... s(k+N), ``(N + 1, n_axes)`` [N], valid until the next call."""
+        ...
 
 
 class ControlCycle:
@@ -25,7 +32,7 @@ class ControlCycle:
         self,
         plant: Plant | JointPlant,
         controller: ForceControl,
-        setpoint: Setpoint | LiveSetpoint,
+        setpoint: Wish,
         schedule: Schedule,
         recovery: Recovery | None = None,
         *,

@@ -28,11 +28,11 @@ class Margins:
     delay: float
     """Smallest time by which it may be later [s]."""
     sensitivity: float
-    """Ms, the largest |1 / (1 + L)|: 1/Ms is the distance from -1."""
+    """Ms, the largest ``|1 / (1 + L)|``: 1/Ms is the distance from -1."""
     peak: float
     """Frequency of that [rad/s]."""
     crossovers: tuple[float, ...]
-    """Where |L| = 1 [rad/s]."""
+    """Where ``|L| = 1`` [rad/s]."""
 
 
 def margins(

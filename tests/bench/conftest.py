@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -33,6 +34,12 @@ def _call(*arguments: str, folder: Path, columns: int = 100) -> subprocess.Compl
         timeout=120,
         check=False,
     )
+
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # Whoever runs the tests in the background may have them ignore Ctrl-C, and the processes that
+    # they start as well; a user does not.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _start(*arguments: str, folder: Path) -> subprocess.Popen[str]:

@@ -11,6 +11,7 @@ from qpmpc import (
     ControllerConfig,
     ForceController,
     Limits,
+    ObserverConfig,
     SolverConfig,
     Status,
     TangentialConfig,
@@ -149,7 +150,8 @@ def test_a_loop_goes_the_same_way_in_either_form(decision, moves, on_own_model):
 
 
 def test_without_an_answer_the_fallback_goes_on():
-    made = controller(8, form="structured", max_iterations=1)
+    impatient = replace(BOUNDED, observer=ObserverConfig(patience=0.0))
+    made = controller(8, config=impatient, form="structured", max_iterations=1)
     preview = np.full((9, 1), -12.0)
     steps = [made.step(np.array([-2.0 - 0.1 * k]), np.zeros(1), preview) for k in range(12)]
     assert any(step.status is Status.ITERATION_LIMIT for step in steps)

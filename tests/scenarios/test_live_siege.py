@@ -145,7 +145,7 @@ class Replay:
         return self._preview
 
 
-def besieged(duration: float) -> None:
+def besieged(duration: float, *, alone: bool) -> None:
     """Run it and check everything; print what came of it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind((ADDRESS, 0))
@@ -188,6 +188,8 @@ def besieged(duration: float) -> None:
     shares = {age: float((source[k] == Source.LIVE).mean()) for age, k in ages.items()}
     late = {age: source[k[-len(k) // 3 :]] for age, k in ages.items()}  # when it is felt
     for age, (_, kinds) in AGES.items():
+        if age == "flooded" and not alone:
+            continue  # who gets into the socket's buffer is up to who gets the processor
         if "device" in kinds:
             assert (late[age] == Source.LIVE).mean() > 0.5, age
         else:
@@ -220,9 +222,9 @@ def besieged(duration: float) -> None:
 
 
 def test_a_siege_of_a_few_seconds_changes_nothing_but_the_status():
-    besieged(4.0)
+    besieged(4.0, alone=False)
 
 
 @pytest.mark.minute
 def test_a_siege_of_a_minute_changes_nothing_but_the_status():
-    besieged(60.0)
+    besieged(60.0, alone=True)

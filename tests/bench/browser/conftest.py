@@ -16,7 +16,8 @@ import pytest
 SHOTS = Path(__file__).parents[3] / ".browser" / "screenshots"
 _FLAGS = (
     "--no-sandbox",  # as root there is none; the pages are our own
-    "--disable-gpu",
+    "--use-angle=swiftshader",  # draws in three dimensions without a graphics card
+    "--enable-unsafe-swiftshader",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",

@@ -16,10 +16,14 @@ AXES = ("x", "y", "z")
 WISH = np.tile([1.0, 2.0, -10.0], (9, 1))
 
 
-def made(compiled="off", backend="daqp", **model) -> ForceController:
-    solver = SolverConfig(compiled=compiled)
-    model = replace(CONFIG.model, **model)
-    return ForceController(replace(CONFIG, solver=solver, model=model), AXES, 1e-3, backend)
+def made(compiled="off", backend="daqp", patience=0.04, **model) -> ForceController:
+    config = replace(
+        CONFIG,
+        solver=SolverConfig(compiled=compiled),
+        model=replace(CONFIG.model, **model),
+        observer=replace(CONFIG.observer, patience=patience),
+    )
+    return ForceController(config, AXES, 1e-3, backend)
 
 
 def run(controller, adopt: bool, cycles=40):
@@ -69,7 +73,7 @@ def test_a_force_that_is_adopted_changes_nothing_else_in_the_estimate():
 
 
 def test_a_plan_that_began_otherwise_does_not_go_on():
-    controller = made()
+    controller = made(patience=0.0)
     for _ in range(2):
         controller.step(np.zeros(3), np.zeros(3), WISH)
         controller.prepare()
