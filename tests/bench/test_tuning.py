@@ -25,8 +25,7 @@ from qpmpc.rivals.pi import PiLaw
 from scenarios.log import Log
 
 RANGES = (Tunable("a", 1e-3, 1e3), Tunable("b", 1.0, 1e4))
-TUNED = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-tuned = pytest.mark.skipif(not TUNED, reason="no results of python -m bench.tune_rivals yet")
+TUNED = json.loads(RESULTS.read_text())
 
 
 class Counted:
@@ -175,7 +174,6 @@ def value(config, key: str) -> float:
     return config
 
 
-@tuned
 def test_what_was_found_is_of_this_procedure_and_of_every_rival():
     assert set(TUNED["controllers"]) == set(RIVALS)
     assert {kind.name for kind in controllers()} - set(RIVALS) == {"mpc"}
