@@ -33,8 +33,9 @@ TRAINING = (("regular", 101), ("early-beats", 102))
 """Scenario and seed of each training motion."""
 DURATION = 6.0
 """Of each [s]."""
-FILLED, DESCENDED = 48, 64
-"""Evaluations: points that fill the ranges, and those of the simplex from the best of them."""
+STARTS, FILLED, DESCENDED = 3, 24, 40
+"""Searches, of which the best counts; evaluations of each: points that fill the ranges, and those
+of the simplex from the best of them."""
 RIVALS = ("pi", "pi-ilc", "aob", "paper-law")
 """In this order: what is learned rests on what ``pi`` found."""
 RESULTS = Path(__file__).parent / "tuned_rivals.json"
@@ -113,7 +114,7 @@ def tune(
         kind: which.
         exercises: to tune it on.
         given: keys of others that were tuned before it.
-        seed: of the points that fill the ranges.
+        seed: of the points that fill the ranges in the first search; the next ones follow.
 
     Returns:
         Its keys with their values, and what there is to tell.
@@ -126,14 +127,17 @@ def tune(
     def objective(values: Array) -> float:
         return mean_cost(exercises, {**given, **named(values)}, kind.name)[0]
 
-    filled = fill(objective, ranges, FILLED, seed)
-    found = descend(objective, ranges, filled.values, DESCENDED, 0.1)
+    searches = []
+    for start in range(seed, seed + STARTS):
+        filled = fill(objective, ranges, FILLED, start)
+        searches.append(descend(objective, ranges, filled.values, DESCENDED, 0.15))
+    found = min(searches, key=lambda each: each.cost)
     values = named(found.values)
     _, costs = mean_cost(exercises, {**given, **values}, kind.name)
     return values, {
         "values": values,
-        "filled": {"values": named(filled.values), "cost": filled.cost},
         "cost": found.cost,
+        "searches": [{"values": named(each.values), "cost": each.cost} for each in searches],
         "runs": [
             {"motion": each.scenario.name, "seed": each.scenario.seed, **asdict(cost)}
             for each, cost in zip(exercises, costs, strict=bool(costs))
@@ -145,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Tune from the command line."""
     parser = argparse.ArgumentParser(prog="python -m bench.tune_rivals", description=__doc__)
     parser.add_argument("--controllers", default=",".join(RIVALS), help="which, by commas")
-    parser.add_argument("--seed", type=int, default=0, help="of the points that fill the ranges")
+    parser.add_argument("--seed", type=int, default=0, help="of the first search")
     parser.add_argument("--out", type=Path, default=RESULTS, help="JSON file; kept but for these")
     given = parser.parse_args(arguments)
     try:
@@ -165,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "command": "python -m bench.tune_rivals",
                 "seed": given.seed,
                 "motions": [{"motion": m, "seed": s, "duration": DURATION} for m, s in TRAINING],
-                "evaluations": {"fill": FILLED, "descend": DESCENDED},
+                "evaluations": {"starts": STARTS, "fill": FILLED, "descend": DESCENDED},
                 "free_chatter": CHATTER,
                 "controllers": {name: found[name] for name in sorted(found)},
             }  # fmt: skip

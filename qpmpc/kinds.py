@@ -155,7 +155,7 @@ for _kind in (
         by_law(PiLaw),
         (
             Tunable("pi.proportional", 10.0, 300.0),
-            Tunable("pi.integral", 300.0, 3e4),
+            Tunable("pi.integral", 300.0, 5e4),
             Tunable("pi.velocity", 100.0, 1000.0),
             Tunable("pi.feedforward", 0.3, 1.0),
             Tunable("pi.filter_time", 3e-4, 1e-2),

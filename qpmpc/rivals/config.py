@@ -19,15 +19,15 @@ class PiConfig:
     Of ``pi``, and of ``pi-ilc`` underneath what it learns.
     """
 
-    proportional: Annotated[float, Ge(0), Le(1e4)] = 30.0
+    proportional: Annotated[float, Ge(0), Le(1e4)] = 110.0
     """Velocity asked for per depth of the force error, both in the tissue [1/s]."""
-    integral: Annotated[float, Ge(0), Le(1e6)] = 100.0
+    integral: Annotated[float, Ge(0), Le(1e6)] = 9380.0
     """The same for the error's integral [1/s^2]."""
-    velocity: Annotated[float, Gt(0), Le(1e4)] = 200.0
+    velocity: Annotated[float, Gt(0), Le(1e4)] = 411.0
     """Acceleration commanded per velocity that is missing [1/s]."""
-    feedforward: Annotated[float, Ge(0), Le(1)] = 1.0
+    feedforward: Annotated[float, Ge(0), Le(1)] = 0.905
     """Share of the tissue's estimated velocity that is added to the velocity asked for [-]."""
-    filter_time: Annotated[float, Ge(0), Le(1)] = 0.002
+    filter_time: Annotated[float, Ge(0), Le(1)] = 0.000847
     """Time constant of the low-pass filter on that estimate [s]; 0: none."""
 
 
