@@ -5,6 +5,7 @@ import os
 import py_compile
 import subprocess
 import sys
+import time
 from pathlib import Path
 from textwrap import dedent
 
@@ -302,9 +303,19 @@ def test_nothing_is_left_running(fake, task, tmp_path):
         ),
     )
     measure([hangs], task, tmp_path / "peers", Effort(run=2.0), lambda text: None)
+    until = time.monotonic() + 10.0  # who is killed takes a moment to die
     for pid in map(int, note.read_text().split()):
-        state = Path(f"/proc/{pid}/stat")
-        assert not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
+        while running(pid) and time.monotonic() < until:
+            time.sleep(0.01)
+        assert not running(pid)
+
+
+def running(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state.rpartition(")")[2].split()[0] != "Z"
 
 
 # Environments
