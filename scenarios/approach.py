@@ -32,8 +32,9 @@ from scenarios.schedule import Schedule
 Array = NDArray[np.float64]
 _FASTEST = 100.0
 """Bandwidth of the velocity loop where nothing delays it [rad/s]."""
-_PHASE = 0.3
-"""Phase that delay and lag may cost it at its bandwidth [rad]."""
+_PHASE = 0.45
+"""Phase that delay and lag may cost it at its bandwidth [rad]. It leaves 49 degrees of margin, and
+44 where the tool is 1.35 times as quick as its model."""
 _AIM = 0.9
 """Share of the speed of the approach that is aimed at: friction and a wrong model add to it [-]."""
 _INTEGRAL = 0.5
@@ -137,7 +138,7 @@ class Approach:
 
     def begin(self, velocity: Array) -> None:
         """Start from a tool that moves at ``velocity (n_axes,)`` [m/s]."""
-        np.clip(velocity, -self._speed, self._speed, out=self._wanted)
+        self._wanted[:] = velocity
         self._sum[:] = 0.0
 
     def command(
@@ -154,7 +155,11 @@ class Approach:
         target = np.zeros_like(velocity)
         if approach:
             target[self._z] = -min(self._speed, _AIM * speed)
-        change = np.clip(target - self._wanted, -self._change, self._change)
+        # Speed that it must not have fades as fast as the loop can follow: were it taken away at
+        # once, the integral would gather the error of the braking, and let the tool swing past.
+        allowed = np.minimum(np.maximum(self._wanted, -self._speed), self._speed)
+        change = np.minimum(np.maximum(target - allowed, -self._change), self._change)
+        change -= self._gain * self._period * (self._wanted - allowed)
         self._wanted += change
         error = self._wanted - velocity
         step = (_INTEGRAL * self._gain) ** 2 * self._period * error
