@@ -91,7 +91,7 @@ def assemble(scenario: Scenario, report: Report) -> Assembly:
     schedule = Schedule(scenario)
     report("setup", 0, 1)
     heart = heart_programme(scenario.cell, motion)
-    library = physics_loop(tool.joints).library
+    library = physics_loop(tool.joints).binary
 
     def another_cell() -> Cell:
         return Cell(

@@ -13,7 +13,7 @@ from qpmpc.native import compile_library
 class PhysicsLoop:
     """What a cell is given to run its physics with."""
 
-    library: ctypes.CDLL | None
+    binary: ctypes.CDLL | None
     """None: the loop runs in Python, with the same result."""
     told: str
     """"compiled", or "python" and why."""

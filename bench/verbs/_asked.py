@@ -1,40 +1,46 @@
 """What verbs that run an experiment have in common."""
 
 import sys
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated
+
+import tyro
 
 from bench.report import write_report
 from qpmpc.controller import Compiled
 from qpmpc.kinds import controller_kind
 from scenarios import Scenario, ScenarioError, load_scenario
 
+_arg = tyro.conf.arg
 FAILED = 1
 
 
-class Options(Protocol):
-    """The options that change a scenario."""
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """The options that change a scenario; verbs inherit them."""
 
-    @property
-    def motion(self) -> Path | None: ...
-    @property
-    def beats(self) -> Path | None: ...
-    @property
-    def setpoint(self) -> Path | None: ...
-    @property
-    def duration(self) -> float | None: ...
-    @property
-    def seed(self) -> int | None: ...
-    @property
-    def set(self) -> tuple[str, ...]: ...
+    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
+    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """Times of heart beats that drive the generated motion: column t [s]."""
+    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
+    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
+    duration: Annotated[float | None, _arg(metavar="S")] = None
+    """Simulated time [s]."""
+    seed: Annotated[int | None, _arg(metavar="N")] = None
+    """Seed of motion and sensor noise."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
+    """Change keys of the scenario; values in TOML's notation."""
 
 
-class Asked(Options, Protocol):
+@dataclass(frozen=True, kw_only=True)
+class Asked(Options):
     """The options that say which experiment is meant."""
 
-    @property
-    def scenario(self) -> str: ...
+    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
+    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
 
 
 def load(

@@ -17,7 +17,7 @@ from bench.contest_report import contest_lines, contest_tables, draw_contest
 from bench.figures import draw_comparison
 from bench.progress import Reporter, ctrl_c
 from bench.table import comparison_lines, comparison_tables
-from bench.verbs._asked import FAILED, load_named, now, report
+from bench.verbs._asked import FAILED, Options, load_named, now, report
 from qpmpc.backends import backend_class
 from qpmpc.controller import Compiled
 from qpmpc.kinds import controller_kind
@@ -28,8 +28,8 @@ from scenarios.results import result_folder, to_json, write_run
 _arg = tyro.conf.arg
 
 
-@dataclass(frozen=True)
-class Compare:
+@dataclass(frozen=True, kw_only=True)
+class Compare(Options):
     """Run a scenario under several backends, or scenarios under several controllers.
 
     For example, `pulsempc compare constrained --backends analytic,daqp,osqp`, or
@@ -49,18 +49,6 @@ class Compare:
     """Whether the controller knows the bounds; violations are counted in either case."""
     compiled: Compiled | None = None
     """Whether the controller's step is compiled C: where it can be, or not at all, or never."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
-    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
-    duration: Annotated[float | None, _arg(metavar="S")] = None
-    """Simulated time [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of motion and sensor noise."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
     out: Annotated[Path | None, _arg(metavar="DIR")] = None
     """Folder for the results, new or empty; runs/compare-<scenario>-<time> if not given."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False

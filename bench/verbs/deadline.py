@@ -17,9 +17,9 @@ from bench.deadline_report import deadline_tables, draw, machine_lines, summary,
 from bench.machine import Facts, machine
 from bench.progress import Reporter, ctrl_c
 from bench.realtime import Measures, SkippingClock, SystemClock, real_time
-from bench.verbs._asked import report
+from bench.verbs._asked import Asked, load, report
 from qpmpc.backends import available, backend_class
-from scenarios import ScenarioError, dump_scenario, load_scenario
+from scenarios import ScenarioError, dump_scenario
 from scenarios.loop import quiet_memory
 from scenarios.results import result_folder, to_json
 
@@ -30,8 +30,8 @@ _LONGEST = 3600.0
 _arg = tyro.conf.arg
 
 
-@dataclass(frozen=True)
-class Deadline:
+@dataclass(frozen=True, kw_only=True)
+class Deadline(Asked):
     """Run whole control cycles in closed loop with the cell against a deadline.
 
     For example, `pulsempc bench deadline paper --backends analytic,daqp`, or, paced by the wall
@@ -55,30 +55,18 @@ class Deadline:
     """With --realtime: priority under SCHED_FIFO; 0 leaves the scheduler alone."""
     spin: Annotated[float, _arg(metavar="S")] = 100e-6
     """With --realtime: how long before a release the sleep ends and the clock is watched [s]."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of motion and sensor noise."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
     out: Annotated[Path | None, _arg(metavar="DIR")] = None
     """Folder for the results, new or empty; runs/deadline-<scenario>-<time> if not given."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """Print the result as JSON, and nothing else, on standard output."""
+    setpoint: tyro.conf.Suppress[Path | None] = None
+    duration: tyro.conf.Suppress[float | None] = None
 
     def run(self) -> int:
         """Run, write, show; return the exit code."""
         names = _names(self.backends)
         self._check_options()
-        scenario = load_scenario(
-            self.scenario,
-            top={} if self.seed is None else {"seed": self.seed},
-            motion=self.motion,
-            beats=self.beats,
-            settings=self.set,
-        )
+        scenario = load(self)
         period = scenario.cell.period
         cycles = self.cycles or (PROOF if self.realtime else scenario.cycles)
         longest = int(_LONGEST / period)

@@ -17,7 +17,7 @@ from bench.latency.session import run_session
 from bench.latency.table import latency_lines, latency_tables
 from bench.progress import Reporter, ctrl_c
 from bench.realtime import SystemClock
-from bench.verbs._asked import FAILED, load, now, report
+from bench.verbs._asked import FAILED, Asked, load, now, report
 from plant.errors import UnstableSimulationError
 from qpmpc.backends import available, backend_class
 from scenarios import Scenario, ScenarioError, ScenarioKeyError
@@ -31,8 +31,8 @@ _PATHS: dict[str, tuple[Way, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class Latency:
+@dataclass(frozen=True, kw_only=True)
+class Latency(Asked):
     """Record cycles of a closed loop and let every backend solve them, hot and paced at 1 kHz.
 
     For example, `pulsempc bench latency --backends daqp,osqp --horizon 8,32`, or
@@ -62,20 +62,11 @@ class Latency:
     budget: Annotated[float, _arg(metavar="S")] = 20.0
     """Time for the hot passes of one backend [s]; slower ones get fewer cycles, and the row says
     so."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
-    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of motion and sensor noise."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
     out: Annotated[Path | None, _arg(metavar="DIR")] = None
     """Folder for the results, new or empty; runs/latency-<scenario>-<time> if not given."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """Print the result as JSON, and nothing else, on standard output."""
+    duration: tyro.conf.Suppress[float | None] = None
 
     def run(self) -> int:
         """Record, measure, write, show; return the exit code."""
@@ -130,11 +121,6 @@ class Latency:
             f"pulsempc: interrupted; what was measured until then is in {folder}", file=sys.stderr
         )
         return INTERRUPTED
-
-    @property
-    def duration(self) -> None:
-        """`cycles` says how long."""
-        return
 
     def _check(self) -> None:
         for option, value in (

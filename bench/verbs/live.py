@@ -10,21 +10,19 @@ import tyro
 
 from bench.cli import INTERRUPTED
 from bench.progress import ctrl_c
-from bench.verbs._asked import load
+from bench.verbs._asked import Asked, load
 from scenarios.errors import ScenarioError
 
 _arg = tyro.conf.arg
 
 
-@dataclass(frozen=True)
-class Live:
+@dataclass(frozen=True, kw_only=True)
+class Live(Asked):
     """Run a scenario without an end and show it in the browser, to be changed while it runs.
 
     Needs viser: pip install 'pulsempc[live]'. Ctrl-C ends it.
     """
 
-    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
-    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
     controller: Annotated[str | None, _arg(metavar="NAME")] = None
     """Which controller to begin with, see `pulsempc controllers`."""
     backend: Annotated[str | None, _arg(metavar="NAME")] = None
@@ -35,18 +33,10 @@ class Live:
     """Port to listen on; 0: any that is free."""
     open: tyro.conf.FlagCreatePairsOff[bool] = False
     """Open the page in the browser."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
     setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
     """A recorded wish, of which the first row counts: columns t, x, y, z [s, N]."""
     duration: Annotated[float | None, _arg(metavar="S")] = None
     """Length of the motion, which then begins anew [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of motion and sensor noise."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
     out: Annotated[Path, _arg(metavar="DIR")] = Path("runs")
     """Where folders of recordings are made."""
 

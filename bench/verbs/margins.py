@@ -13,7 +13,7 @@ from rich.console import Console
 from bench.margins import assess, demand
 from bench.margins_table import margin_lines, margin_table, tuning_lines
 from bench.progress import Reporter
-from bench.verbs._asked import FAILED, load
+from bench.verbs._asked import FAILED, Asked, load
 from qpmpc.margins import Quality, tune
 from scenarios import ScenarioError
 from scenarios.results import to_json
@@ -24,30 +24,20 @@ _POINTS = 9
 _MOST = 200
 
 
-@dataclass(frozen=True)
-class Margins:
+@dataclass(frozen=True, kw_only=True)
+class Margins(Asked):
     """Compute margins, ranges of stability and rejection of a scenario's controller.
 
     For example, `pulsempc margins paper`, or
     `pulsempc margins paper --stiffness 0.5:2 --set controller.model.stiffness=5000 --json`.
     """
 
-    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
-    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
     stiffness: Annotated[str, _arg(metavar="LOW:HIGH[:N]")] = "0.25:4"
     """True stiffness over that of the cell, N values of equal ratio."""
     later: Annotated[str, _arg(metavar="LOW:HIGH[:N]")] = "0:0.002:5"
     """Delay beyond that of the scenario, N values of equal distance [s]."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
     duration: Annotated[float | None, _arg(metavar="S")] = None
     """How much of the motion is looked at [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of the motion."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """Print the figures as JSON, and nothing else, on standard output."""
     setpoint: tyro.conf.Suppress[Path | None] = None
@@ -67,16 +57,14 @@ class Margins:
         return 0 if told["nominal"]["stable"] else FAILED
 
 
-@dataclass(frozen=True)
-class Tune:
+@dataclass(frozen=True, kw_only=True)
+class Tune(Asked):
     """Search observer noises and weights for a margin that is asked for.
 
     For example, `pulsempc tune paper --stiffness 0.8:1.25 --sensitivity 2 --model`; what it
     prints is TOML for a scenario, and the same for `--set`.
     """
 
-    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
-    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
     sensitivity: Annotated[float, _arg(metavar="MS")] = 2.0
     """Largest sensitivity Ms that may be left, of each loop."""
     stiffness: Annotated[str, _arg(metavar="LOW:HIGH[:N]")] = "0.8:1.25:5"
@@ -87,16 +75,8 @@ class Tune:
     """Whether the model's stiffness may be turned, too."""
     evaluations: Annotated[int, _arg(metavar="N")] = 1500
     """Controllers that are looked at."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
     duration: Annotated[float | None, _arg(metavar="S")] = None
     """How much of the motion is looked at [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of the motion."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """Print what was found as JSON, and nothing else, on standard output."""
     setpoint: tyro.conf.Suppress[Path | None] = None

@@ -13,7 +13,7 @@ from bench.figures import draw_forces
 from bench.pace import by_the_clock
 from bench.progress import Reporter, ctrl_c
 from bench.table import force_table, timing_lines, trip_line
-from bench.verbs._asked import FAILED, load, now, report
+from bench.verbs._asked import FAILED, Asked, load, now, report
 from qpmpc.backends import backend_class
 from qpmpc.controller import Compiled
 from scenarios import run_experiment, summarise
@@ -23,34 +23,20 @@ from scenarios.results import result_folder, to_json, write_run
 _arg = tyro.conf.arg
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, kw_only=True)
+class Run(Asked):
     """Run a scenario and write its results into a folder.
 
     For example, `pulsempc run paper --backend analytic --seed 3 --out runs/seed3`, or
     `pulsempc run my.toml --motion heart.csv --set cell.sensor.model=mini45`.
     """
 
-    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
-    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
     controller: Annotated[str | None, _arg(metavar="NAME")] = None
     """Which controller, see `pulsempc controllers`; the predictive one if nothing says another."""
     backend: Annotated[str | None, _arg(metavar="NAME")] = None
     """Solver, see `pulsempc backends`."""
     compiled: Compiled | None = None
     """Whether the controller's step is compiled C: where it can be, or not at all, or never."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
-    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
-    duration: Annotated[float | None, _arg(metavar="S")] = None
-    """Simulated time [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of motion and sensor noise."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
     out: Annotated[Path | None, _arg(metavar="DIR")] = None
     """Folder for the results, new or empty; runs/<scenario>-<time> if not given."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False

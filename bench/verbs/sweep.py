@@ -3,7 +3,6 @@
 import json
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -15,15 +14,15 @@ from rich.table import Table
 from bench.cli import INTERRUPTED
 from bench.progress import Reporter, ctrl_c
 from bench.sweep import Row, combinations, parse, sweep
-from bench.verbs._asked import FAILED, load
+from bench.verbs._asked import FAILED, Asked, load
 from scenarios import Scenario, ScenarioError
 from scenarios.results import to_json
 
 _arg = tyro.conf.arg
 
 
-@dataclass(frozen=True)
-class Sweep:
+@dataclass(frozen=True, kw_only=True)
+class Sweep(Asked):
     """Run a scenario once for each value of keys that change, and tell what came of it.
 
     For example, `pulsempc sweep paper --over 'cell.contact.stiffness=[625, 2500, 10000]'`, or
@@ -33,20 +32,6 @@ class Sweep:
 
     over: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY[+KEY]=[V,V,...]")]
     """Keys and the values that they take together; several ranges give every combination."""
-    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
-    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
-    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
-    duration: Annotated[float | None, _arg(metavar="S")] = None
-    """Simulated time of each run [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of motion and sensor noise."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario in every run; values in TOML's notation."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """Print the rows as JSON, and nothing else, on standard output."""
 

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -11,39 +10,25 @@ from bench.cli import INTERRUPTED
 from bench.pace import by_the_clock
 from bench.progress import Reporter, ctrl_c
 from bench.table import trip_line
-from bench.verbs._asked import FAILED, load
+from bench.verbs._asked import FAILED, Asked, load
 from scenarios.errors import ScenarioError
 from scenarios.viewer import view
 
 _arg = tyro.conf.arg
 
 
-@dataclass(frozen=True)
-class View:
+@dataclass(frozen=True, kw_only=True)
+class View(Asked):
     """Run a scenario by the clock and watch it in a window; nothing is written.
 
     Needs a desktop. Turn with the left button of the mouse, move with the right, zoom with the
     wheel.
     """
 
-    scenario: Annotated[tyro.conf.Positional[str], _arg(metavar="SCENARIO")] = "paper"
-    """Name of a shipped scenario (see `pulsempc scenarios`) or path of a TOML file."""
     backend: Annotated[str | None, _arg(metavar="NAME")] = None
     """Solver, see `pulsempc backends`."""
     speed: Annotated[float, _arg(metavar="X")] = 1.0
     """Simulated seconds a second; below 1 is slow motion."""
-    motion: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded motion in place of the generated one: columns t, x, y, z [s, m]."""
-    beats: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """Times of heart beats that drive the generated motion: column t [s]."""
-    setpoint: Annotated[Path | None, _arg(metavar="FILE.csv")] = None
-    """A recorded wish in place of the scenario's: columns t, x, y, z [s, N]."""
-    duration: Annotated[float | None, _arg(metavar="S")] = None
-    """Simulated time [s]."""
-    seed: Annotated[int | None, _arg(metavar="N")] = None
-    """Seed of motion and sensor noise."""
-    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], _arg(metavar="KEY.PATH=VALUE")] = ()
-    """Change keys of the scenario; values in TOML's notation."""
 
     def run(self) -> int:
         """Simulate and show; return the exit code."""

@@ -121,7 +121,7 @@ class CompiledStep:
             program.text, name="step", flags=toolchain.OPTIMISED, depends=functions.depends
         )
         form.verify(library, functions)
-        self.library = library
+        self.binary = library
         self.groups = len(found)
         """How many problems are solved one after the other."""
         handle = library.handle

@@ -87,7 +87,7 @@ class Engine:
         self._motion = endless(motion)
         self._tool = tool_arm(scenario.cell)
         self._programme = heart_programme(scenario.cell, self._motion)
-        self._library = physics_loop(self._tool.joints).library
+        self._library = physics_loop(self._tool.joints).binary
         self._wanted = scenario
         self._latest: dict[str, Set] = {}
         self._events: list[Event] = []

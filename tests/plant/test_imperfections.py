@@ -30,14 +30,6 @@ FREE = {"stiffness": 1e-6, "enabled": False}
 """Nothing to touch and nobody to watch."""
 
 
-@pytest.fixture(scope="module")
-def library():
-    found = physics_loop(6)
-    if found.library is None:
-        pytest.skip(found.told)
-    return found.library
-
-
 @pytest.fixture
 def free_cell(perfect, make_cell, still):
     """A perfect cell with changes, that touches nothing."""
@@ -47,7 +39,7 @@ def free_cell(perfect, make_cell, still):
             perfect(**(FREE | changes)),
             still(4),
             force=np.zeros(3),
-            library=physics_loop(6).library,
+            library=physics_loop(6).binary,
         )
 
     return build
@@ -681,7 +673,7 @@ def test_an_arm_of_seven_joints_has_them_too(realistic, make_cell, beating):
     """All of them, the same bits in both loops; its first mode is the one that is told."""
     flaws = EVERYTHING | {"inertia_error": (0.2,) * 7 + (0.4,), "torque_limit": 0.9}
     config = realistic(**flaws, arm=arm_files.PANDA)
-    library, runs = physics_loop(7).library, []
+    library, runs = physics_loop(7).binary, []
     for which in (None, library) if library else (None,):
         cell, rows = make_cell(config, beating(60), library=which), []
         for k in range(60):

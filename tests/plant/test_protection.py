@@ -27,14 +27,6 @@ ASIDE, BACK, UP = np.eye(3)
 DOWN = -UP
 
 
-@pytest.fixture(scope="module")
-def library():
-    found = physics_loop(6)
-    if found.library is None:
-        pytest.skip(found.told)
-    return found.library
-
-
 def until_trip(cell, command):
     """Run until the protection trips, at most to the end; return what it tells."""
     for k in range(cell.cycles):
@@ -225,7 +217,7 @@ def test_brakes_let_the_guard_rest(realistic, make_cell, beating, drive):
 def test_the_tool_is_taken_off_the_tissue_and_held(way, unilateral, realistic, make_cell, still):
     distance, speed = way
     config = realistic(retraction=distance, retraction_speed=speed, unilateral=unilateral)
-    cell = make_cell(config, still(1500), library=physics_loop(6).library)
+    cell = make_cell(config, still(1500), library=physics_loop(6).binary)
     trip = until_trip(cell, 10.0 * DOWN)
     assert trip.cause is Cause.FORCE
     tissue = cell.truth().tissue

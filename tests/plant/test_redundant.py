@@ -168,9 +168,9 @@ def test_both_maps_are_exact_and_move_the_tip_along_its_axes(panda, exact):
 def test_the_compiled_loop_is_the_loop_in_python_bit_for_bit(kind, tmp_path):
     arm = arm_files.own(tmp_path, kind)
     loop = physics_loop(own_arm(arm).joints)
-    if loop.library is None:
+    if loop.binary is None:
         pytest.skip(loop.told)
-    in_python, in_c = (next(hostile.rings(1, 1, 120, which, arm)) for which in (None, loop.library))
+    in_python, in_c = (next(hostile.rings(1, 1, 120, which, arm)) for which in (None, loop.binary))
     tripped = 0
     for controller in (hostile.constant, hostile.bang_bang, hostile.ram, hostile.nothing):
         runs = []
@@ -193,7 +193,7 @@ def test_the_compiled_loop_is_the_loop_in_python_bit_for_bit(kind, tmp_path):
 def test_no_hostile_controller_breaks_a_promise(kind, tmp_path):
     """Joints in range, force below its cap, as for the Viper."""
     arm = arm_files.own(tmp_path, kind)
-    library = physics_loop(own_arm(arm).joints).library
+    library = physics_loop(own_arm(arm).joints).binary
     worst = hostile.Worst()
     for ring in hostile.rings([7, 1], 2, 300, library, arm):
         for controller in hostile.CONTROLLERS:
@@ -206,7 +206,7 @@ def test_no_hostile_controller_breaks_a_promise(kind, tmp_path):
 @pytest.mark.parametrize("kind", ["panda", "gantry", "urdf"])
 def test_a_thousand_hostile_sequences_break_no_promise(kind, tmp_path):
     arm = arm_files.own(tmp_path, kind)
-    library = physics_loop(own_arm(arm).joints).library
+    library = physics_loop(own_arm(arm).joints).binary
     worst = hostile.Worst()
     for ring in hostile.rings([11, 5], 14, 400, library, arm):
         for controller in hostile.CONTROLLERS:

@@ -32,7 +32,7 @@ def test_without_a_compiler_or_a_cache_the_run_is_the_same(
     variable, value, why, afresh, monkeypatch
 ):
     compiled = run()
-    if physics_loop(6).library is None:
+    if physics_loop(6).binary is None:
         pytest.skip(physics_loop(6).told)
     assert summarise(compiled)["physics"] == "compiled"
     physics_loop.cache_clear()

@@ -630,15 +630,15 @@ def test_a_cache_that_must_not_be_used_is_not(monkeypatch, tmp_path):
 
 def test_other_numbers_of_one_shape_need_no_compiler(monkeypatch, tmp_path):
     monkeypatch.setenv("PULSEMPC_CACHE", str(tmp_path / "own"))
-    assert small().compiled.library.compiled
-    assert not small().compiled.library.compiled
+    assert small().compiled.binary.compiled
+    assert not small().compiled.binary.compiled
     model = LinearModel([[0.9, 0.2], [0, 0.5]], [[0.3], [0.1]], [[1, 1]], 0.1)
     other = Controller(
         Problem(model, 3, output_weight=7.0, increment_weight=0.4),
         KalmanObserver(model, np.eye(2), np.eye(2), np.eye(2)),
         ExponentialReference(3, 1, 0.1, 0.2),
     )
-    assert not other.compiled.library.compiled
+    assert not other.compiled.binary.compiled
 
 
 def test_two_controllers_of_one_shape_do_not_share_memory():
