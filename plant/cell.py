@@ -242,7 +242,8 @@ class Cell:
         row = self._cycle % self.cycles
         np.add(self._heart.ctrl[row], self._lean, out=self._heart_ctrl)
         self._peak[()] = 0.0
-        self._stiffen(row)
+        if self._contact.varies:
+            self._stiffen(row)
         self._stepper.advance()
         guard.notice()
         self._cycle += 1

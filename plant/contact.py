@@ -104,12 +104,17 @@ class Contact:
         )
         self._unilateral, self._touching = block["unilateral"], block["touching"]
         self._factor, self._factor_step = block["factor"], block["factor_step"]
-        self._renewed = block["renewed"]
+        self._renewed, self._varies = block["renewed"], block["varies"]
 
     @property
     def renewed(self) -> bool:
         """Whether `follow` has to be called before each physics step."""
         return bool(self._renewed)
+
+    @property
+    def varies(self) -> bool:
+        """Whether `beat` has to be told the stiffness in each period."""
+        return bool(self._varies)
 
     @property
     def touching(self) -> bool:
@@ -133,13 +138,13 @@ class Contact:
         self._before[:], self._bristle[:] = self._length, self._length[:2]
         self._touching[()] = self._sticks[()] = True
         self._unilateral[()] = self._only_pushes
-        self._renewed[()] = self._only_pushes or self._kind != LINEAR or self._block["varies"]
+        self._renewed[()] = self._only_pushes or self._kind != LINEAR or self._varies
         if self._renewed:
             self.follow(0)
 
     def let_vary(self) -> None:
         """Renew the law from step to step from now on, as `beat` may tell any stiffness."""
-        self._block["varies"] = True
+        self._varies[()] = True
         if not self._renewed:
             self._renewed[()] = True
             self.follow(0)
